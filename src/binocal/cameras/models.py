@@ -1,0 +1,69 @@
+"""The camera models by name: a plain dictionary of records of functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from binocal.cameras import brown_conrady, kannala_brandt
+
+LINEAR_NAMES = ("fx", "fy", "cx", "cy", "skew")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """One camera model: names of its distortion coefficients, and its functions on component-first arrays.
+
+    ``sees_behind`` tells that points with Z <= 0 can be seen (fisheye).
+    """
+
+    name: str
+    distortion_names: tuple[str, ...]
+    sees_behind: bool
+    project: Callable[..., Any]
+    linearize: Callable[..., Any]
+    unproject: Callable[..., Any]
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """fx, fy, cx, cy, skew, then the distortion."""
+        return LINEAR_NAMES + self.distortion_names
+
+    @property
+    def n_parameters(self) -> int:
+        """Length of the parameter vector, skew included."""
+        return 5 + len(self.distortion_names)
+
+
+def _brown(name: str, *distortion_names: str) -> CameraModel:
+    return CameraModel(
+        name, distortion_names, False, brown_conrady.project, brown_conrady.linearize, brown_conrady.unproject
+    )
+
+
+CAMERA_MODELS: dict[str, CameraModel] = {
+    "brown4": _brown("brown4", "k1", "k2", "p1", "p2"),
+    "brown5": _brown("brown5", "k1", "k2", "p1", "p2", "k3"),
+    "brown8": _brown("brown8", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye4": CameraModel(
+        "fisheye4",
+        ("k1", "k2", "k3", "k4"),
+        True,
+        kannala_brandt.project,
+        kannala_brandt.linearize,
+        kannala_brandt.unproject,
+    ),
+}
+
+
+def camera_model(name: str) -> CameraModel:
+    """The model of that name.
+
+    Raises:
+        ValueError: No such model.
+    """
+    try:
+        return CAMERA_MODELS[name]
+    except KeyError:
+        raise ValueError(f"unknown camera model {name!r}; known: {', '.join(CAMERA_MODELS)}") from None

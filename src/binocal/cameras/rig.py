@@ -1,0 +1,39 @@
+"""Two cameras and the transform between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from binocal.cameras.camera import Camera
+from binocal.geometry import SE3, so3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoRig:
+    """Left and right camera and ``T_right_left`` (what OpenCV calls R, T); the rig's frame is the left camera's.
+
+    ``is_metric`` is False when the board's size was unknown; lengths are then in board squares.
+    """
+
+    left: Camera
+    right: Camera
+    T_right_left: SE3
+    is_metric: bool = True
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance of the two cameras' centres, metres (squares if not metric)."""
+        return float(np.linalg.norm(self.T_right_left.t))
+
+    @property
+    def euler_rad(self) -> tuple[float, float, float]:
+        """The paper's angles gamma, lambda, mu (eqs 3-5), radians."""
+        return so3.to_paper_angles(self.T_right_left.R)
+
+    @property
+    def is_swapped(self) -> bool:
+        """True when the camera called right stands to the left of the other (or above it, if the rig is vertical, below is usual)."""
+        t = self.T_right_left.t
+        return bool(t[0] > 0) if abs(t[0]) >= abs(t[1]) else False

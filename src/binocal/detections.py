@@ -1,0 +1,113 @@
+"""Measured board points of both cameras, view by view: where the pictures end and the geometry begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.errors import DataError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Corners of ``n_views`` views of one board of n points in two cameras.
+
+    NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points are metres.
+    """
+
+    object_points_m: Float[ndarray, "n 3"]
+    left_px: Float[ndarray, "views n 2"]
+    right_px: Float[ndarray, "views n 2"]
+    left_size_wh: tuple[int, int]
+    right_size_wh: tuple[int, int]
+    names: tuple[str, ...]
+    is_metric: bool = True
+
+    def __post_init__(self) -> None:
+        arrays = {}
+        for name in ("object_points_m", "left_px", "right_px"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.setflags(write=False)
+            arrays[name] = array
+            object.__setattr__(self, name, array)
+        points, left, right = arrays.values()
+        if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
+            raise ValueError(f"object_points_m must be finite (n, 3); got {points.shape}")
+        if left.ndim != 3 or right.ndim != 3 or left.shape[1:] != (len(points), 2) or right.shape[1:] != (len(points), 2):
+            raise ValueError(
+                f"corners must be (views, {len(points)}, 2), one row per object point; got left {left.shape}, right {right.shape}"
+            )
+        if len(left) != len(right):
+            raise DataError(
+                f"{len(left)} left views against {len(right)} right views: each view needs both; "
+                "pair them first and mark a missing camera's corners as NaN."
+            )
+        if len(self.names) != len(left):
+            raise ValueError(f"{len(self.names)} names for {len(left)} views")
+        for side, px in (("left", left), ("right", right)):
+            if np.any(np.isinf(px)):
+                raise DataError(f"{side} corners hold infinite values; mark corners that were not seen as NaN.")
+            half = np.isnan(px[..., 0]) != np.isnan(px[..., 1])
+            if half.any():
+                view, corner = np.argwhere(half)[0]
+                raise DataError(
+                    f"{side} view {self.names[view]}, corner {corner}: one coordinate is NaN and the other is not; "
+                    "a corner that was not seen has both NaN."
+                )
+        for size in (self.left_size_wh, self.right_size_wh):
+            if len(size) != 2 or min(size) < 1:
+                raise ValueError(f"an image size is (width, height) in pixels; got {size}")
+
+    @staticmethod
+    def from_arrays(
+        object_points_m: Float[ndarray, "n 3"],
+        left_px: Float[ndarray, "views n 2"],
+        right_px: Float[ndarray, "views n 2"],
+        image_size_wh: tuple[int, int],
+        *,
+        right_image_size_wh: tuple[int, int] | None = None,
+        names: tuple[str, ...] | None = None,
+        is_metric: bool = True,
+    ) -> Detections:
+        """Detections of plain arrays. The right camera's image size is the left's unless given.
+
+        Raises:
+            ValueError: A shape is wrong.
+            DataError: The numbers cannot be corners, or left and right differ in their number of views.
+        """
+        left_size = (int(image_size_wh[0]), int(image_size_wh[1]))
+        right_size = left_size if right_image_size_wh is None else (int(right_image_size_wh[0]), int(right_image_size_wh[1]))
+        n_views = len(left_px)
+        width = len(str(max(n_views - 1, 0)))
+        return Detections(
+            object_points_m, left_px, right_px, left_size, right_size,
+            tuple(names) if names is not None else tuple(f"{i:0{width}d}" for i in range(n_views)), is_metric,
+        )
+
+    @property
+    def n_views(self) -> int:
+        """Number of views, used or not."""
+        return len(self.names)
+
+    @property
+    def left_is_seen(self) -> Bool[ndarray, "views n"]:
+        """Which corners the left camera saw."""
+        return np.isfinite(self.left_px[..., 0])
+
+    @property
+    def right_is_seen(self) -> Bool[ndarray, "views n"]:
+        """Which corners the right camera saw."""
+        return np.isfinite(self.right_px[..., 0])
+
+    def select(self, views: Int[ndarray, "k"] | Bool[ndarray, "views"]) -> Detections:
+        """The detections of some views only, in the order given."""
+        index = np.arange(self.n_views)[views]
+        return replace(
+            self, left_px=self.left_px[index], right_px=self.right_px[index], names=tuple(self.names[i] for i in index)
+        )

@@ -1,0 +1,91 @@
+"""Every exception of binocal.
+
+::
+
+    BinocalError
+    ├── DataError               the input cannot be used            (CLI exit code 3)
+    │   ├── FormatError         a file is not what it should be
+    │   └── DetectionError      no usable board in the pictures
+    ├── CalibrationError        the input is readable, no trustworthy rig follows from it   (CLI exit code 3)
+    │   ├── TooFewViewsError
+    │   ├── TooFewPointsError
+    │   ├── DegenerateGeometryError
+    │   ├── InconsistentViewsError
+    │   └── NotConvergedError   (CLI exit code 1)
+    └── MissingExtraError       an optional dependency is not installed   (CLI exit code 1)
+
+``ValueError`` and ``TypeError`` mean that the caller's code is wrong (shape, dtype, option).
+Each exception carries its figures as fields; its text says what happened, where, and what to do.
+"""
+
+
+class BinocalError(Exception):
+    """Base of every error that binocal raises on purpose."""
+
+
+class DataError(BinocalError):
+    """The input cannot be used."""
+
+
+class FormatError(DataError):
+    """A file is not what it should be; ``path`` names it."""
+
+    def __init__(self, path: object, problem: str) -> None:
+        super().__init__(f"{path}: {problem}")
+        self.path, self.problem = path, problem
+
+
+class DetectionError(DataError):
+    """No usable board was found; ``reasons`` maps a picture or view to why."""
+
+    def __init__(self, message: str, reasons: dict[str, str] | None = None) -> None:
+        super().__init__(message)
+        self.reasons = dict(reasons or {})
+
+
+class CalibrationError(BinocalError):
+    """The input is readable, but no trustworthy rig follows from it; ``rejected`` maps a view to why it was dropped."""
+
+    def __init__(self, message: str, rejected: dict[str, str] | None = None) -> None:
+        super().__init__(message)
+        self.rejected = dict(rejected or {})
+
+
+class TooFewViewsError(CalibrationError):
+    """Fewer usable views than the geometry needs."""
+
+    def __init__(self, found: int, needed: int, rejected: dict[str, str] | None = None) -> None:
+        super().__init__(
+            f"{found} usable view{'' if found == 1 else 's'}, {needed} needed; "
+            "add views with the board tilted 20-45 deg in different directions.",
+            rejected,
+        )
+        self.found, self.needed = found, needed
+
+
+class TooFewPointsError(CalibrationError):
+    """Fewer corners than the geometry needs."""
+
+    def __init__(self, where: str, found: int, needed: int) -> None:
+        super().__init__(f"{where}: {found} corners, {needed} needed.")
+        self.where, self.found, self.needed = where, found, needed
+
+
+class DegenerateGeometryError(CalibrationError):
+    """The views leave parameters undetermined; the text names which, and what to add."""
+
+
+class InconsistentViewsError(CalibrationError):
+    """Left and right corners contradict each other in most views: order, pairing or board are wrong."""
+
+
+class NotConvergedError(CalibrationError):
+    """The solver stopped without reaching a minimum."""
+
+
+class MissingExtraError(BinocalError):
+    """An optional dependency is not installed."""
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs an optional dependency: pip install 'binocal[{extra}]'")
+        self.feature, self.extra = feature, extra

@@ -1,0 +1,91 @@
+"""What a calibration is: the rig, how far it can be trusted, and what happened to every view."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.cameras import StereoRig
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Covariance:
+    """Covariance of the rig's estimated parameters, by name.
+
+    Names: ``left.fx`` … ``left.k1`` …, ``right.…``, ``rotation.x/y/z`` (a small rotation vector in radians that multiplies
+    ``R`` from the left, so it lives in the right camera's frame), ``translation.x/y/z`` (metres, or board pitches without a scale).
+    """
+
+    names: tuple[str, ...]
+    matrix: Float[ndarray, "p p"]
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.matrix, dtype=float)
+        if matrix.shape != (len(self.names),) * 2:
+            raise ValueError(f"{len(self.names)} names for a covariance of shape {matrix.shape}")
+        matrix.setflags(write=False)
+        object.__setattr__(self, "matrix", matrix)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard deviation of each parameter."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSummary:
+    """RMS distance, pixels, between measured and predicted corners (OpenCV's convention: per corner, not per coordinate)."""
+
+    left_px: float
+    right_px: float
+    all_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class ViewResult:
+    """A view that was used. ``n_outliers`` of its ``n_corners`` corners (both cameras) were rejected; RMS is over the others.
+
+    ``note`` says what was repaired, if anything. An RMS is NaN where the camera did not see the board.
+    """
+
+    name: str
+    rms_px: float
+    left_rms_px: float
+    right_rms_px: float
+    n_corners: int
+    n_outliers: int
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RejectedView:
+    """A view that was not used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoCalibration:
+    """The result of every calibrator.
+
+    ``warnings`` are sentences for the user, the gravest first. ``provenance`` holds versions, calibrator, options, model choice.
+    """
+
+    rig: StereoRig
+    covariance: Covariance
+    rms: ResidualSummary
+    noise_px: float
+    """Estimated standard deviation of one corner coordinate, pixels."""
+    views: tuple[ViewResult, ...]
+    rejected: tuple[RejectedView, ...] = ()
+    warnings: tuple[str, ...] = ()
+    n_iterations: int = 0
+    provenance: Mapping[str, Any] = field(default_factory=dict)
