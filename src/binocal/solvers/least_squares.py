@@ -35,10 +35,14 @@ class LoopOptions:
     scale_factor: float = 1.0
     """Kernel scale over the MAD noise estimate; above 1 the kernel is kept open on purpose."""
     max_iterations: int = 50
-    tolerance_sigma: float = 1e-3
-    """Stop after a step shorter than this, measured in standard deviations of the estimate (1000 times shorter on exact corners)."""
-    initial_damping: float = 1e-4
-    damping_factor: float = 10.0
+    tolerance_sigma: float = 1e-2
+    """Stop after a step shorter than this, measured in standard deviations of the estimate (10⁴ times shorter on exact corners).
+
+    The step is taken, and Gauss-Newton shrinks it by 10 or more each time, so the estimate ends within 0.001 sigma."""
+    initial_damping: float = 1e-6
+    damping_fall: float = 30.0
+    damping_rise: float = 10.0
+    least_raised_damping: float = 1e-6  # weak directions have eigenvalues of 1e-7 of the diagonal: less would not be felt
     max_damping: float = 1e8
 
 
@@ -109,14 +113,14 @@ def minimize(
         try:
             step = solve_step(problem, estimate, equations, damping)
         except np.linalg.LinAlgError:
-            damping = np.where(is_running, damping * options.damping_factor + 1e-6, damping)
+            damping = np.where(is_running, _raised(damping, options), damping)
             is_running &= damping < options.max_damping
             continue
         candidate = retract(problem, estimate, step)
         trial = linearize(problem, candidate, scale, kernel)
         n_iterations += is_running
         is_exact = scale <= options.scale_factor * robust.SCALE_FLOOR_PX
-        tolerance_px = options.tolerance_sigma * scale * np.where(is_exact, 1e-3, 1.0)
+        tolerance_px = options.tolerance_sigma * scale * np.where(is_exact, 1e-4, 1.0)
         is_short = 2 * step.predicted_px2 < tolerance_px**2
         is_better = trial.cost_px2 < cost
         take = is_running & is_better
@@ -127,7 +131,7 @@ def minimize(
             equations = _select_equations(take, trial, equations)
         mad = np.maximum(options.scale_factor * noise_estimate_px(problem, equations), 1e-300)
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
-        damping = np.where(take, damping / options.damping_factor, np.where(is_running, damping * options.damping_factor, damping))
+        damping = np.where(take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping))
         # a rejected step that was already too short to matter is convergence: the cost is at its rounding floor
         done = is_running & is_short & (is_settled | ~take)
         is_converged |= done
@@ -140,6 +144,10 @@ def minimize(
         else:
             cost = np.where(take, equations.cost_px2, cost)
     return Minimum(estimate, equations, scale, kernel, n_iterations, is_converged, options)
+
+
+def _raised(damping: ndarray, options: LoopOptions) -> ndarray:
+    return np.maximum(damping * options.damping_rise, options.least_raised_damping)
 
 
 def _select_equations(take: ndarray, new: BundleEquations, old: BundleEquations) -> BundleEquations:
