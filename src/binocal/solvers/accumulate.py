@@ -71,34 +71,62 @@ def accumulate(
     for start in range(0, total, chunk):
         these = slice(start, min(start + chunk, total))
         J = columns[: these.stop - start]
-        X = R[these] @ object_points
-        X += t[these, :, None]
-        X, Y, Z = X[:, 0], X[:, 1], X[:, 2]
-        seen = flat_seen[these]
-        everything_seen = bool(seen.all())
+        length2, Z = _fill_columns(
+            model, per_view_parameters[these], R[these], t[these], object_points, flat_pixels[these], flat_seen[these], J
+        )
+        r2[these] = length2
         with np.errstate(all="ignore"):
-            u, v, grad_u, grad_v = model.linearize(per_view_parameters[these], X, Y, Z, J[:, :p])
-            for row, (g_x, g_y, g_z) in enumerate((grad_u, grad_v)):
-                J[:, p, row] = Y * g_z - Z * g_y
-                J[:, p + 1, row] = Z * g_x - X * g_z
-                J[:, p + 2, row] = X * g_y - Y * g_x
-                J[:, p + 3, row], J[:, p + 4, row], J[:, p + 5, row] = g_x, g_y, g_z
-            np.subtract(flat_pixels[these, 0], u, out=J[:, -1, 0])
-            np.subtract(flat_pixels[these, 1], v, out=J[:, -1, 1])
-            length2 = np.einsum("vcn,vcn->vn", J[:, -1], J[:, -1])
-            if not everything_seen:
-                length2[~seen] = 0.0
-                J[np.broadcast_to(~seen[:, None, None], J.shape)] = 0.0
-            r2[these] = length2
             if kernel != "squared":
                 J *= np.sqrt(robust.weights(length2, per_view_scale[these], kernel))[:, None, None]
             flat = J.reshape(len(J), size, 2 * n)
             np.matmul(flat, flat.swapaxes(-1, -2), out=gram[these])
             view_cost = robust.costs(length2, per_view_scale[these], kernel).sum(axis=-1)
         if not model.sees_behind:
-            view_cost[np.any(seen & (Z <= 0), axis=-1)] = np.inf
+            view_cost[np.any(flat_seen[these] & (Z <= 0), axis=-1)] = np.inf
         view_cost[~np.isfinite(view_cost)] = np.inf
         cost[these] = view_cost
     return ViewEquations(
         gram.reshape(*batch, n_views, size, size), r2.reshape(*batch, n_views, n), cost.reshape(*batch, n_views)
     )
+
+
+def unweighted_columns(
+    model: CameraModel,
+    parameters: Float[ndarray, "p"],
+    R_camera_board: Float[ndarray, "views 3 3"],
+    t_camera_board: Float[ndarray, "views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "views 2 n"],
+    is_seen: Bool[ndarray, "views n"],
+) -> Float[ndarray, "views q 2n"]:
+    """The columns [parameters, xi (6), residual] themselves, of one rig, for solvers that must not square them."""
+    n_views, n = len(pixels), pixels.shape[-1]
+    J = np.empty((n_views, model.n_parameters + 7, 2, n))
+    repeated = np.broadcast_to(parameters, (n_views, model.n_parameters))
+    _fill_columns(model, repeated, R_camera_board, t_camera_board, object_points, pixels, is_seen, J)
+    return J.reshape(n_views, -1, 2 * n)
+
+
+def _fill_columns(
+    model: CameraModel, parameters: ndarray, R: ndarray, t: ndarray, object_points: ndarray, pixels: ndarray, is_seen: ndarray,
+    J: ndarray,
+) -> tuple[Float[ndarray, "views n"], Float[ndarray, "views n"]]:
+    """Fill ``J`` (views, p + 7, 2, n), zero where not seen; return squared residual lengths and depths."""
+    p = model.n_parameters
+    X = R @ object_points
+    X += t[:, :, None]
+    X, Y, Z = X[:, 0], X[:, 1], X[:, 2]
+    with np.errstate(all="ignore"):
+        u, v, grad_u, grad_v = model.linearize(parameters, X, Y, Z, J[:, :p])
+        for row, (g_x, g_y, g_z) in enumerate((grad_u, grad_v)):
+            J[:, p, row] = Y * g_z - Z * g_y
+            J[:, p + 1, row] = Z * g_x - X * g_z
+            J[:, p + 2, row] = X * g_y - Y * g_x
+            J[:, p + 3, row], J[:, p + 4, row], J[:, p + 5, row] = g_x, g_y, g_z
+        np.subtract(pixels[:, 0], u, out=J[:, -1, 0])
+        np.subtract(pixels[:, 1], v, out=J[:, -1, 1])
+        length2 = np.einsum("vcn,vcn->vn", J[:, -1], J[:, -1])
+        if not is_seen.all():
+            length2[~is_seen] = 0.0
+            J[np.broadcast_to(~is_seen[:, None, None], J.shape)] = 0.0
+    return length2, Z

@@ -132,8 +132,10 @@ def minimize(
         mad = np.maximum(options.scale_factor * noise_estimate_px(problem, equations), 1e-300)
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
         damping = np.where(take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping))
-        # a rejected step that was already too short to matter is convergence: the cost is at its rounding floor
-        done = is_running & is_short & (is_settled | ~take)
+        # exact corners: go on while the cost still falls by half, down to its rounding floor
+        is_floor = ~is_exact | ~(trial.cost_px2 < 0.5 * cost)
+        # a rejected step that was already too short to matter is convergence too
+        done = is_running & is_short & is_floor & (is_settled | ~take)
         is_converged |= done
         is_running &= ~done & (damping < options.max_damping)
         new_scale = np.where(take & ~is_settled, mad, scale)
