@@ -9,7 +9,7 @@ two coefficients and the centre are this project's, solved by Gauss-Newton with 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,9 +20,10 @@ from binocal.geometry.homography import PlaneFit, PlaneFrame, fit_plane
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-MAX_VIEWS = 14  # enough for a start; the joint solver sees every view
-_MIN_G = 0.03  # below it a pixel's ray leaves the pinhole plane: 88.3 deg from the axis for f = r
-_CANDIDATES = (0.0, -0.12, -0.3, -0.5, -0.75, 0.25)  # l1: none, mild and strong barrel, 150° fisheyes, pincushion
+MAX_VIEWS, MAX_POINTS = 12, 60  # evenly chosen; enough for a start, the joint solver sees everything
+_MIN_G = 0.3  # 75-80 deg from the axis: nearer to the horizon rays are turned before the plane is used
+_MIN_COSINE = 0.08  # a corner 85 deg from its own view's mean ray is left out
+_CANDIDATES = (0.0, -0.12, -0.3, -0.5, -0.8, -1.3, -2.2, 0.25)  # l1: none, barrel up to 240° fisheyes (diagonal), pincushion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,28 +52,31 @@ def estimate_lifting(
     frame: PlaneFrame, u_px: Float[ndarray, "views n"], v_px: Float[ndarray, "views n"], weights: Float[ndarray, "views n"],
     size_wh: tuple[int, int], aspect: float = 1.0,
 ) -> Lifting:
-    """Radial profile and its centre from at most 14 evenly chosen views; weight 0 marks unseen or outlying corners."""
+    """Radial profile and its centre from at most 12 evenly chosen views; weight 0 marks unseen or outlying corners."""
     centre = np.array([(size_wh[0] - 1) / 2, (size_wh[1] - 1) / 2])
     unit = float(np.hypot(*size_wh) / 2)
-    chosen = np.unique(np.linspace(0, len(u_px) - 1, min(MAX_VIEWS, len(u_px))).round().astype(int))
-    u = (u_px[chosen] - centre[0]) / unit
-    v = (v_px[chosen] - centre[1]) * (aspect / unit)
-    w = weights[chosen]
+    n_views, n_points = u_px.shape
+    chosen = np.linspace(0, n_views - 1, min(MAX_VIEWS, n_views)).round().astype(int)[:, None]
+    points = np.linspace(0, n_points - 1, min(MAX_POINTS, n_points)).round().astype(int)
+    frame = replace(frame, xy=frame.xy[points], basis=frame.basis[points])
+    u = (u_px[chosen, points] - centre[0]) / unit
+    v = (v_px[chosen, points] - centre[1]) * (aspect / unit)
+    w = weights[chosen, points]
     u, v = np.where(w > 0, u, 0.0), np.where(w > 0, v, 0.0)
 
     coarse = np.zeros((len(_CANDIDATES), 4))
     coarse[:, 0] = _CANDIDATES
-    few = slice(None, None, 2)
+    few = slice(None, None, 3)
     cost = _cost(_residuals(coarse, frame, u[few], v[few], w[few]))
     best = coarse[int(np.argmin(cost))]
     # Priors in units: l1, l2 of usual lenses; principal points lie within a few percent of the middle
-    prior = 1 / np.array([1.0, 0.5, 0.06, 0.06]) ** 2
+    prior = 1 / np.array([2.0, 2.0, 0.06, 0.06]) ** 2
     step_size = 1e-5
-    lam = 1e-3
+    lam = 1e-4
     residual = _residuals(best[None], frame, u, v, w)
     current = _cost(residual)[0]
     sigma2 = 1e-8
-    for iteration in range(5):
+    for _ in range(9):
         shifted = _residuals(best[None] + step_size * np.eye(4), frame, u, v, w)
         J = (shifted - residual[0]) / step_size
         J, r = J.reshape(4, -1), residual.reshape(-1)
@@ -87,37 +91,73 @@ def estimate_lifting(
         step = -np.linalg.solve(N + sigma2 * np.diag(prior) + lam * np.diag(np.diag(N)), gradient)
         candidate = best + np.clip(step, -0.3, 0.3)
         new = _residuals(candidate[None], frame, u, v, w)
-        new_cost = _cost(new)[0] + 0.0
+        new_cost = _cost(new)[0]
         if not new_cost < current * (1 + 1e-6):
-            lam *= 30
-            if iteration and lam > 10:
+            lam = max(lam * 30, 0.01)
+            if lam > 300:
                 break
             continue
         gain = current - new_cost
         best, residual, current = candidate, new, new_cost
         lam = max(lam / 10, 1e-6)
-        if gain < 1e-3 * current:
+        if gain < 0.01 * current:
             break
-    sigma = np.sqrt(np.diag(np.linalg.inv(N / sigma2 + np.diag(1 / np.array([1.0, 0.5, 0.3, 0.3]) ** 2))))
+    sigma = np.sqrt(np.diag(np.linalg.inv(N / sigma2 + np.diag(1 / np.array([2.0, 2.0, 0.3, 0.3]) ** 2))))
     return Lifting(
         centre + unit * best[2:] / np.array([1, aspect]), unit, aspect, float(best[0]), float(best[1]), sigma[2:]
     )
 
 
 def _residuals(parameters: Float[ndarray, "k 4"], frame: PlaneFrame, u: ndarray, v: ndarray, w: ndarray) -> ndarray:
-    """Homography residuals in units of the picture, (k, views, 2, n), weighted; inf where the lifting folds over."""
+    """Homography residuals in units of the picture, (k, views, 2, n), weighted."""
     l1, l2, cx, cy = (parameters[:, i, None, None] for i in range(4))
     dx, dy = u - cx, v - cy
     r2 = dx * dx + dy * dy
-    g = 1 + r2 * (l1 + r2 * l2)
-    is_folded = np.any((g < _MIN_G) & (w > 0), axis=(-1, -2))
-    g = np.maximum(g, _MIN_G)
+    _, du, dv, _, root, _ = _fit_rays(frame, dx, dy, 1 + r2 * (l1 + r2 * l2), w, parameters[:, 0])
+    return np.stack([du, dv], axis=-2) * (root * np.sqrt(w))[..., None, :]
+
+
+def _fit_rays(
+    frame: PlaneFrame, dx: ndarray, dy: ndarray, g: ndarray, w: ndarray, l1: Float[ndarray, "*k"]
+) -> tuple[PlaneFit, ndarray, ndarray, ndarray | None, ndarray, ndarray]:
+    """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-picture scale, and the weights.
+
+    Where rays come within 20° of the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, rays of order
+    one by the equidistant guess of the focal length) so that its mean ray is the axis: the homography found is then M H.
+    """
+    if np.all((g > _MIN_G) | (w == 0)):
+        g = np.where(w > 0, g, 1.0)
+        weights = w * g * g
+        with np.errstate(all="ignore"):
+            fit, du, dv = fit_plane(frame, dx / g, dy / g, weights)
+        return fit, du, dv, None, g, weights
+    focal = 1 / np.sqrt(3 * np.maximum(-np.asarray(l1), 0.02))[..., None, None]
+    rays = np.stack([dx, dy, focal * g], axis=-2)
+    length = np.sqrt(np.sum(rays * rays, axis=-2, keepdims=True))
+    rays = rays / np.where(length > 0, length, 1.0)
+    axis = np.sum(rays * w[..., None, :], axis=-1)
+    axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
+    M = _turn_to_z(axis)
+    turned = M @ rays
+    z = np.where(turned[..., 2, :] > _MIN_COSINE, turned[..., 2, :], np.nan)
+    w = np.where(np.isnan(z), 0.0, w)
+    z = np.where(np.isnan(z), 1.0, z)
+    root = focal * z * np.sqrt(z)  # geometric mean of the tangent plane's two stretches: z² radially, z across
+    weights = w * root * root
     with np.errstate(all="ignore"):
-        _, du, dv = fit_plane(frame, dx / g, dy / g, w * g * g)
-    root = np.sqrt(w) * g
-    out = np.stack([du * root, dv * root], axis=-2)
-    out[is_folded] = np.inf
-    return out
+        fit, du, dv = fit_plane(frame, turned[..., 0, :] / z, turned[..., 1, :] / z, weights)
+    M = M.copy()
+    M[..., 2] *= focal
+    return fit, du, dv, M, root, weights
+
+
+def _turn_to_z(axis: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+    """Rotation that takes a unit vector to (0, 0, 1) by the shortest way (two reflections; stable up to 179°)."""
+    half = axis + np.array([0.0, 0.0, 1.0])
+    half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
+    # reflect the axis onto -z through the half vector's plane, then flip everything about z
+    R = 2 * half[..., :, None] * half[..., None, :] - np.eye(3)
+    return np.diag([-1.0, -1.0, 1.0]) @ R
 
 
 def _cost(residuals: Float[ndarray, "k views 2 n"]) -> Float[ndarray, "k"]:
@@ -129,15 +169,18 @@ def _cost(residuals: Float[ndarray, "k views 2 n"]) -> Float[ndarray, "k"]:
 
 def fit_lifted(
     lifting: Lifting, frame: PlaneFrame, u_px: ndarray, v_px: ndarray, weights: ndarray
-) -> tuple[PlaneFit, ndarray, ndarray]:
-    """Homographies board → lifted plane of every view, distances in pixels of the picture, and the weights used."""
+) -> tuple[Float[ndarray, "views 3 2"], Float[ndarray, "views 6 6"], ndarray]:
+    """First two columns of each view's homography board → (dx, dy, g), their covariance for unit noise, and distances in pixels."""
     dx, dy, g = lifting.lift(u_px, v_px)
-    w = np.where(g > _MIN_G, weights, 0.0)
-    g = np.maximum(g, _MIN_G)
-    w_lifted = w * g * g
-    with np.errstate(all="ignore"):
-        fit, du, dv = fit_plane(frame, dx / g, dy / g, w_lifted)
-    return fit, np.hypot(du, dv) * g * lifting.unit_px, w_lifted
+    fit, du, dv, M, root, _ = _fit_rays(frame, dx, dy, g, weights, np.asarray(lifting.l1))
+    columns, covariance = fit.rows[..., :2], fit.column_covariance
+    if M is not None:
+        inverse = np.linalg.inv(M)
+        columns = inverse @ columns
+        both = np.zeros((*inverse.shape[:-2], 6, 6))
+        both[..., :3, :3] = both[..., 3:, 3:] = inverse
+        covariance = both @ covariance @ both.swapaxes(-1, -2)
+    return columns, covariance, np.hypot(du, dv) * root * lifting.unit_px
 
 
 def fit_brown(
