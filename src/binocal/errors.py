@@ -5,7 +5,8 @@
     BinocalError
     ├── DataError               the input cannot be used            (CLI exit code 3)
     │   ├── FormatError         a file is not what it should be
-    │   └── DetectionError      no usable board in the pictures
+    │   ├── DetectionError      no usable board in the pictures
+    │   └── OutputExistsError   a result would overwrite a file
     ├── CalibrationError        the input is readable, no trustworthy rig follows from it   (CLI exit code 3)
     │   ├── TooFewViewsError
     │   ├── TooFewPointsError
@@ -41,6 +42,14 @@ class DetectionError(DataError):
     def __init__(self, message: str, reasons: dict[str, str] | None = None) -> None:
         super().__init__(message)
         self.reasons = dict(reasons or {})
+
+
+class OutputExistsError(DataError, FileExistsError):
+    """A result would overwrite what is already there; ``path`` names it."""
+
+    def __init__(self, path: object) -> None:
+        super().__init__(f"{path} exists already; choose another output, or overwrite it with --force (force=True).")
+        self.path = path
 
 
 class CalibrationError(BinocalError):
