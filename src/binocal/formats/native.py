@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ def rig_document(rig: StereoRig) -> dict[str, Any]:
 
 def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
     """``rig.json`` as a dictionary that holds only what JSON can say."""
-    return _jsonable(
+    return jsonable(
         rig_document(calibration.rig)
         | {
             "rms_px": {
@@ -72,6 +72,10 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
             },
             "noise_px": calibration.noise_px,
             "sigma": calibration.covariance.sigma,
+            "euler_sigma_deg": dict(
+                zip(("gamma", "lambda", "mu"), np.degrees(calibration.euler_sigma_rad).tolist(), strict=True)
+            ),
+            "baseline_sigma_m": calibration.baseline_sigma_m,
             "covariance": {"names": calibration.covariance.names, "matrix": calibration.covariance.matrix},
             "views": [
                 {
@@ -95,7 +99,7 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
 
 def truth_document(truth: Truth) -> dict[str, Any]:
     """``truth.json`` as a dictionary that holds only what JSON can say."""
-    return _jsonable(
+    return jsonable(
         rig_document(truth.rig)
         | {
             "board": format_board(truth.board),
@@ -215,20 +219,22 @@ def _camera_document(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _jsonable(value: Any) -> Any:
-    """The value in JSON's own types; what is not finite becomes None."""
+def jsonable(value: Any) -> Any:
+    """The value in JSON's own types; what is not finite becomes None, a dataclass a dictionary."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: jsonable(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, np.ndarray):
-        return _jsonable(value.tolist())
+        return jsonable(value.tolist())
     if isinstance(value, np.generic):
-        return _jsonable(value.item())
+        return jsonable(value.item())
     if isinstance(value, Mapping):
-        return {str(key): _jsonable(item) for key, item in value.items()}
+        return {str(key): jsonable(item) for key, item in value.items()}
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, Sequence | set | frozenset):
-        return [_jsonable(item) for item in value]
+        return [jsonable(item) for item in value]
     return str(value)
 
 

@@ -35,7 +35,7 @@ _ALIASES = {
     "K_right": "m2 k2 cameramatrix2 cameramatrixright rightcameramatrix intrinsicmatrix2 kright kr rightk",
     "D_left": "d1 distcoeffs1 distcoeffsleft leftdistcoeffs distortioncoefficients1 distortioncoefficientsleft dleft "
     "dl leftd leftdistortioncoefficients distcoeff1 distleft",
-    "D_right": "d2 distcoeffs2 distcoeffsright rightdistcoeffs distortioncoefficients2 distortioncoefficientsright dright "
+    "D_right": "d2 distcoeffs2 distcoeffsright rightdistcoeffs distortioncoefficients2 distortioncoefficientsright "
     "dr rightd rightdistortioncoefficients distcoeff2 distright",
     "R": "r rot rotation rotationmatrix",
     "T": "t trans translation translationvector",
