@@ -10,6 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
+from binocal.geometry import so3
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -37,6 +38,14 @@ class Covariance:
     def sigma(self) -> dict[str, float]:
         """Standard deviation of each parameter."""
         return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
+
+    def block(self, name: str) -> Float[ndarray, "3 3"]:
+        """Covariance of ``rotation`` or ``translation``, in the order x, y, z; NaN where it was not estimated."""
+        wanted = [f"{name}.{axis}" for axis in "xyz"]
+        if not set(wanted) <= set(self.names):
+            return np.full((3, 3), np.nan)
+        index = [self.names.index(item) for item in wanted]
+        return self.matrix[np.ix_(index, index)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,3 +112,25 @@ class StereoCalibration:
     warnings: tuple[str, ...] = ()
     n_iterations: int = 0
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def euler_sigma_rad(self) -> tuple[float, float, float]:
+        """Standard deviations of the paper's angles gamma, lambda, mu, radians; NaN where unknown.
+
+        First order, through central differences of the angles by the rotation vector (step 1e-6 rad, error below 1e-9).
+        """
+        R, step = self.rig.T_right_left.R, 1e-6
+        J = np.empty((3, 3))
+        for i in range(3):
+            w = np.zeros(3)
+            w[i] = step
+            difference = np.subtract(so3.to_paper_angles(so3.exp(w) @ R), so3.to_paper_angles(so3.exp(-w) @ R))
+            J[:, i] = ((difference + np.pi) % (2 * np.pi) - np.pi) / (2 * step)
+        gamma, lambda_, mu = np.sqrt(np.diag(J @ self.covariance.block("rotation") @ J.T)).tolist()
+        return gamma, lambda_, mu
+
+    @property
+    def baseline_sigma_m(self) -> float:
+        """Standard deviation of the baseline, metres (board pitches without a scale); NaN where unknown."""
+        along = self.rig.T_right_left.t / self.rig.baseline_m
+        return float(np.sqrt(along @ self.covariance.block("translation") @ along))
