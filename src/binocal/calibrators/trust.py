@@ -5,6 +5,7 @@ Each check either raises with the culprit's name or adds a sentence to the warni
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,3 +115,10 @@ def corner_spacing_px(detections: Detections) -> float:
     nearest = np.argmin(distance, axis=1)
     gaps = [np.linalg.norm(px[:, nearest] - px, axis=-1) for px in (detections.left_px, detections.right_px)]
     return float(np.nanmedian(np.concatenate(gaps, axis=None)))
+
+
+def with_warnings(calibration: StereoCalibration, normals: Float[ndarray, "views 3"]) -> StereoCalibration:
+    """The calibration with every warning of this room put first; raises as the checks do."""
+    found = (*swap_warning(calibration), *check_observability(calibration, normals))
+    known = tuple(w for w in calibration.warnings if w not in found)
+    return replace(calibration, warnings=(*found, *known))
