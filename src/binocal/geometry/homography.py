@@ -76,6 +76,17 @@ def plane_moments(
     return sums[..., _SYMMETRIC]
 
 
+def plane_spread(
+    x: Float[ndarray, "*batch n"], y: Float[ndarray, "*batch n"], w: Float[ndarray, "*#batch n"]
+) -> Float[ndarray, "*batch"]:
+    """Weighted RMS radius about the weighted mean; 1 where there is none. Points of weight 0 must be finite."""
+    total = np.maximum(w.sum(axis=-1), 1e-9)
+    wx, wy = w * x, w * y
+    second = (np.sum(wx * x, axis=-1) + np.sum(wy * y, axis=-1)) / total
+    spread2 = second - (np.sum(wx, axis=-1) / total) ** 2 - (np.sum(wy, axis=-1) / total) ** 2
+    return np.sqrt(np.where(spread2 > 1e-14 * second, spread2, 1.0))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFit:
     """Least-squares homographies in normalised coordinates, with what their covariance needs.

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.geometry.homography import PlaneFit, PlaneFrame, fit_plane
+from binocal.geometry.homography import PlaneFit, PlaneFrame, fit_plane, plane_spread
+from binocal.geometry.so3 import turn_to_z
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -122,8 +123,8 @@ def _fit_rays(
 ) -> tuple[PlaneFit, ndarray, ndarray, ndarray | None, ndarray, ndarray]:
     """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-picture scale, and the weights.
 
-    Where rays come within 20° of the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, rays of order
-    one by the equidistant guess of the focal length) so that its mean ray is the axis: the homography found is then M H.
+    Where rays come near the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, after scaling g to metric
+    rays by the equidistant guess of the focal length) so that its mean ray is the axis: the homography found is then M H.
     """
     if np.all((g > _MIN_G) | (w == 0)):
         g = np.where(w > 0, g, 1.0)
@@ -137,27 +138,19 @@ def _fit_rays(
     rays = rays / np.where(length > 0, length, 1.0)
     axis = np.sum(rays * w[..., None, :], axis=-1)
     axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
-    M = _turn_to_z(axis)
+    M = turn_to_z(axis)
     turned = M @ rays
     z = np.where(turned[..., 2, :] > _MIN_COSINE, turned[..., 2, :], np.nan)
     w = np.where(np.isnan(z), 0.0, w)
     z = np.where(np.isnan(z), 1.0, z)
-    root = focal * z * np.sqrt(z)  # geometric mean of the tangent plane's two stretches: z² radially, z across
+    a, b = turned[..., 0, :] / z, turned[..., 1, :] / z
+    root = np.broadcast_to((plane_spread(dx, dy, w) / plane_spread(a, b, w))[..., None], a.shape)
     weights = w * root * root
     with np.errstate(all="ignore"):
-        fit, du, dv = fit_plane(frame, turned[..., 0, :] / z, turned[..., 1, :] / z, weights)
+        fit, du, dv = fit_plane(frame, a, b, weights)
     M = M.copy()
     M[..., 2] *= focal
     return fit, du, dv, M, root, weights
-
-
-def _turn_to_z(axis: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation that takes a unit vector to (0, 0, 1) by the shortest way (two reflections; stable up to 179°)."""
-    half = axis + np.array([0.0, 0.0, 1.0])
-    half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
-    # reflect the axis onto -z through the half vector's plane, then flip everything about z
-    R = 2 * half[..., :, None] * half[..., None, :] - np.eye(3)
-    return np.diag([-1.0, -1.0, 1.0]) @ R
 
 
 def _cost(residuals: Float[ndarray, "k views 2 n"]) -> Float[ndarray, "k"]:

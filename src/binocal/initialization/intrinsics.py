@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 _ASPECT_TOLERANCE = 0.02  # beyond it the radial profile is found again on squared-up pixels
+_MAX_ROUNDS = 4
 _CENTRE_PRIOR = 0.12  # half diagonals: principal points of real cameras, wide
 
 
@@ -27,7 +28,8 @@ class InitialCamera:
     """A camera to start the joint solver from.
 
     ``parameters``: fx, fy, cx, cy, skew, then the model's distortion. ``poses`` are ``T_camera_board`` by view (NaN where not usable),
-    ``homographies`` what the views looked like before any of this, ``vanishing`` how well the views determine the pinhole
+    ``homographies`` what the views looked like before any of this, ``weights`` how far each corner is
+    trusted, ``vanishing`` how well the views determine the pinhole
     (coordinates: half diagonals around ``lifting.centre_px``; ``columns`` and ``covariance`` are its input by usable view).
     ``rms_px`` is the RMS distance of the corners that the robust weights trust, pixels, under the full model.
     """
@@ -41,6 +43,7 @@ class InitialCamera:
     vanishing: VanishingEstimate
     columns: Float[ndarray, "usable 3 2"]
     covariance: Float[ndarray, "usable 6 6"]
+    weights: Float[ndarray, "views n"]
     unit_px: float
     notes: tuple[str, ...] = ()
 
@@ -71,26 +74,31 @@ def estimate_intrinsics(
     if not usable.any():
         raise TooFewViewsError(0, 3)
     frame = PlaneFrame.of(object_points)
+    is_seen = np.isfinite(pixels[..., 0]) & usable[:, None]
     weights = fits.weights
-    is_seen = weights > 0
     u = np.where(is_seen, pixels[..., 0], 0.0)
     v = np.where(is_seen, pixels[..., 1], 0.0)
-    everything = bool(usable.all())
-    u_used, v_used, w_used = (u, v, weights) if everything else (u[usable], v[usable], weights[usable])
 
     aspect = 1.0
-    for _ in range(2):
-        lifting = estimate_lifting(frame, u_used, v_used, w_used, size_wh, aspect)
-        columns, covariance, distance = fit_lifted(lifting, frame, u_used, v_used, w_used)
-        sigma = _view_sigma(distance, w_used) / lifting.unit_px
-        covariance = covariance * (sigma * sigma)[:, None, None]
+    for _ in range(_MAX_ROUNDS):
+        lifting = estimate_lifting(frame, u[usable], v[usable], weights[usable], size_wh, aspect)
+        columns, covariance, distance = fit_lifted(lifting, frame, u[usable], v[usable], weights[usable])
+        sigma = _view_sigma(distance, weights[usable])
+        covariance = covariance * np.square(sigma / lifting.unit_px)[:, None, None]
         vanishing = estimate_pinhole(
             columns, covariance, sigma_centre=np.minimum(3 * lifting.sigma_centre + 0.005, _CENTRE_PRIOR), has_skew=has_skew
         )
         K = vanishing.K
-        if abs(K[0, 0] / K[1, 1] - 1) < _ASPECT_TOLERANCE:
+        is_square = abs(K[0, 0] / K[1, 1] - 1) < _ASPECT_TOLERANCE
+        # What looked like outliers of a plain homography may have been honest distortion
+        renewed = np.zeros_like(weights)
+        with np.errstate(all="ignore"):
+            renewed[usable] = np.nan_to_num(1 / (1 + np.square(distance / (4 * sigma[:, None]))) ** 2) * is_seen[usable]
+        is_same = np.count_nonzero(renewed > 0.5) < np.count_nonzero(weights > 0.5) + 0.01 * np.count_nonzero(is_seen)
+        if is_square and is_same:
             break
-        aspect = aspect * K[0, 0] / K[1, 1]
+        aspect = aspect if is_square else aspect * K[0, 0] / K[1, 1]
+        weights = weights if is_same else renewed
     lifting = replace(lifting, centre_px=lifting.centre_px + lifting.unit_px * K[:2, 2] / np.array([1, lifting.aspect]))
     fx, fy = K[0, 0] * lifting.unit_px, K[1, 1] * lifting.unit_px / lifting.aspect
 
@@ -105,7 +113,8 @@ def estimate_intrinsics(
     parameters = np.r_[fx, fy, lifting.centre_px, K[0, 1] * lifting.unit_px / lifting.aspect, distortion]
     parameters, rms_px = _refit_distortion(model, parameters, poses, np.asarray(object_points, dtype=float)[:, :2], u, v, weights)
     return InitialCamera(
-        model, size_wh, parameters, poses, rms_px, fits, vanishing, columns, covariance, lifting.unit_px, vanishing.notes
+        model, size_wh, parameters, poses, rms_px, fits, vanishing, columns, covariance, weights, lifting.unit_px,
+        vanishing.notes,
     )
 
 

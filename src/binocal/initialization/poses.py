@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from binocal.cameras import camera_model
 from binocal.geometry import so3
-from binocal.geometry.homography import MIN_POINTS, PlaneFrame, fit_homographies, map_plane, plane_moments, solve_plane
+from binocal.geometry.homography import MIN_POINTS, PlaneFrame, fit_homographies, map_plane, plane_moments, plane_spread, solve_plane
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -97,14 +97,14 @@ def poses_from_rays(
     axis = np.sum(direction * w[:, None], axis=-1)
     norm = np.linalg.norm(axis, axis=-1, keepdims=True)
     axis = np.where(norm > 1e-9, axis / np.where(norm > 1e-9, norm, 1.0), np.array([0.0, 0.0, 1.0]))
-    turn = turn_to_z(axis)
+    turn = so3.turn_to_z(axis)
     turned = turn @ direction
     z = turned[:, 2]
     w = np.where(z > _MIN_COSINE, w, 0.0)
     inverse_z = 1 / np.where(z > _MIN_COSINE, z, 1.0)
     a, b = turned[:, 0] * inverse_z, turned[:, 1] * inverse_z
     n_corners = w.sum(axis=-1)
-    px_per_unit = _spread(np.where(w > 0, pixels[..., 0], 0.0), np.where(w > 0, pixels[..., 1], 0.0), w) / _spread(a, b, w)
+    px_per_unit = plane_spread(np.where(w > 0, pixels[..., 0], 0.0), np.where(w > 0, pixels[..., 1], 0.0), w) / plane_spread(a, b, w)
     with np.errstate(all="ignore"):
         px = w * (px_per_unit * px_per_unit)[:, None]
         rows = solve_plane(plane_moments(frame.basis, a, b, px)).rows
@@ -129,22 +129,6 @@ def poses_from_rays(
     R = np.where(swap[:, None, None], other.R, poses.R)
     t = np.where(swap[:, None], other.t, poses.t)
     return replace(poses, R=R, t=t, rms_px=np.where(swap, other.rms_px, poses.rms_px))
-
-
-def turn_to_z(axis: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation that takes a unit vector to (0, 0, 1) by the shortest way, as two reflections; free below 179° from it."""
-    half = axis + np.array([0.0, 0.0, 1.0])
-    half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
-    R = 2 * half[..., :, None] * half[..., None, :] - np.eye(3)
-    return np.diag([-1.0, -1.0, 1.0]) @ R
-
-
-def _spread(x: ndarray, y: ndarray, w: ndarray) -> Float[ndarray, "views"]:
-    """Weighted RMS radius; 1 where there is none."""
-    total = np.maximum(w.sum(axis=-1), 1e-9)
-    mean_x, mean_y = np.sum(w * x, axis=-1) / total, np.sum(w * y, axis=-1) / total
-    spread = np.sqrt(np.maximum(np.sum(w * (x * x + y * y), axis=-1) / total - mean_x**2 - mean_y**2, 0.0))
-    return np.where(spread > 1e-12, spread, 1.0)
 
 
 def _decompose(rows: Float[ndarray, "*batch 3 3"], scale: float) -> tuple[ndarray, ndarray, ndarray]:
@@ -221,7 +205,7 @@ def _reversed_tilt(poses: BoardPoses, n_iterations: int) -> BoardPoses:
     R = np.where(usable[:, None, None], poses.R, np.eye(3))
     t_centre = np.where(usable[:, None], poses.t, np.array([0.0, 0.0, 1.0])) + R[..., :2] @ poses.frame.centre
     line = t_centre / np.linalg.norm(t_centre, axis=-1, keepdims=True)
-    to_line = turn_to_z(line)
+    to_line = so3.turn_to_z(line)
     sign = np.array([[1, 1, -1], [1, 1, -1], [-1, -1, 1]])
     R = poses.turn @ to_line.swapaxes(-1, -2) @ (sign * (to_line @ R))
     t_centre = (poses.turn @ t_centre[..., None])[..., 0]
