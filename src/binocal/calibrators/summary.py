@@ -27,7 +27,7 @@ from binocal.solvers.covariance import inliers, residual_noise_px, shared_covari
 from binocal.solvers.least_squares import Minimum
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 
 def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> StereoRig:
@@ -63,17 +63,14 @@ def summarize(
     noise_px = residual_noise_px(problem, minimum)
     covariance = shared_covariance(problem, minimum.estimate, minimum.equations, noise_px)
     used = inliers(problem, minimum)
-    r2 = [e.r2_px2 for e in minimum.equations.cameras]
-    views = tuple(
-        _view_result(detections, problem, used, r2, index, notes.get(name, ""))
-        for index, name in enumerate(detections.names)
-    )
+    r2 = [np.where(is_used, e.r2_px2, 0.0) for is_used, e in zip(used, minimum.equations.cameras, strict=True)]
+    views = _view_results(detections, problem, minimum, used, r2, notes)
+    left_px, right_px = (_rms(lengths2.sum(), is_used.sum()) for lengths2, is_used in zip(r2, used, strict=True))
+    all_px = _rms(sum(lengths2.sum() for lengths2 in r2), sum(is_used.sum() for is_used in used))
     return StereoCalibration(
         rig=rig_of(minimum.estimate, detections, options.model),
         covariance=Covariance(shared_names(problem), covariance),
-        rms=ResidualSummary(
-            _rms(r2[0][used[0]]), _rms(r2[1][used[1]]), _rms(np.concatenate([r2[0][used[0]], r2[1][used[1]]]))
-        ),
+        rms=ResidualSummary(float(left_px), float(right_px), float(all_px)),
         noise_px=noise_px,
         views=views,
         rejected=rejected,
@@ -91,31 +88,37 @@ def summarize(
     )
 
 
-def _rms(r2: Float[ndarray, "n"]) -> float:
-    return float(np.sqrt(r2.mean())) if r2.size else float("nan")
+def _rms(total_px2: Float[ndarray, "*n"], count: Int[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    return np.sqrt(np.where(count > 0, total_px2 / np.maximum(count, 1), np.nan))
 
 
-def _view_result(
+def _view_results(
     detections: Detections,
     problem: BundleProblem,
+    minimum: Minimum,
     used: tuple[Bool[ndarray, "views n"], ...],
-    r2: list[Float[ndarray, "views n"]],
-    index: int,
-    note: str,
-) -> ViewResult:
-    outliers = []
-    for side, camera, is_used, lengths2 in zip(("left", "right"), problem.cameras, used, r2, strict=True):
-        for corner in np.nonzero(camera.is_seen[index] & ~is_used[index])[0]:
-            outliers.append(OutlierCorner(side, int(corner), float(np.sqrt(lengths2[index, corner]))))
-    inlier_r2 = [lengths2[index][is_used[index]] for is_used, lengths2 in zip(used, r2, strict=True)]
-    return ViewResult(
-        name=detections.names[index],
-        rms_px=_rms(np.concatenate(inlier_r2)),
-        left_rms_px=_rms(inlier_r2[0]),
-        right_rms_px=_rms(inlier_r2[1]),
-        n_corners=int(sum(c.is_seen[index].sum() for c in problem.cameras)),
-        outliers=tuple(outliers),
-        note=note,
+    inlier_r2: list[Float[ndarray, "views n"]],
+    notes: Mapping[str, str],
+) -> tuple[ViewResult, ...]:
+    outliers: dict[int, list[OutlierCorner]] = {}
+    for side, camera, e, is_used in zip(
+        ("left", "right"), problem.cameras, minimum.equations.cameras, used, strict=True
+    ):
+        for view, corner in np.argwhere(camera.is_seen & ~is_used).tolist():
+            distance_px = float(np.sqrt(e.r2_px2[view, corner]))
+            outliers.setdefault(view, []).append(OutlierCorner(side, corner, distance_px))
+    sums, counts = [r2.sum(axis=1) for r2 in inlier_r2], [is_used.sum(axis=1) for is_used in used]
+    rows = zip(
+        detections.names,
+        _rms(sums[0] + sums[1], counts[0] + counts[1]).tolist(),
+        _rms(sums[0], counts[0]).tolist(),
+        _rms(sums[1], counts[1]).tolist(),
+        sum(c.is_seen.sum(axis=1) for c in problem.cameras).tolist(),
+        strict=True,
+    )
+    return tuple(
+        ViewResult(name, all_px, left_px, right_px, n, tuple(outliers.get(i, ())), notes.get(name, ""))
+        for i, (name, all_px, left_px, right_px, n) in enumerate(rows)
     )
 
 

@@ -21,7 +21,7 @@ from numpy import ndarray
 from binocal.cameras import CameraModel
 from binocal.geometry import so3
 from binocal.solvers import robust
-from binocal.solvers.accumulate import ViewEquations, accumulate
+from binocal.solvers.accumulate import ViewEquations, accumulate, squared_lengths
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -111,13 +111,28 @@ def right_poses(estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views 
     return R @ estimate.R_left_board, (R @ estimate.t_left_board[..., None])[..., 0] + t
 
 
+def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple[ndarray, ndarray]]:
+    """``T_camera_board`` of every view for each camera of the problem."""
+    left = (estimate.R_left_board, estimate.t_left_board)
+    return [left, right_poses(estimate)] if problem.is_stereo else [left]
+
+
+def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> Float[ndarray, "*batch corners"]:
+    """Squared residual lengths of all cameras, flattened; 0 where not seen."""
+    lengths2 = [
+        squared_lengths(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
+        for c, parameters, (R, t) in zip(
+            problem.cameras, estimate.parameters, camera_poses(problem, estimate), strict=True
+        )
+    ]
+    return np.concatenate([r2.reshape(*r2.shape[:-2], -1) for r2 in lengths2], axis=-1)
+
+
 def linearize(
     problem: BundleProblem, estimate: BundleEstimate, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
 ) -> BundleEquations:
     """Residuals and normal equations of all cameras at an estimate."""
-    poses = [(estimate.R_left_board, estimate.t_left_board)]
-    if problem.is_stereo:
-        poses.append(right_poses(estimate))
+    poses = camera_poses(problem, estimate)
     equations = tuple(
         accumulate(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel)
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)

@@ -18,6 +18,7 @@ from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
     linearize,
+    residual_lengths2,
     retract,
     select_rigs,
     solve_step,
@@ -62,8 +63,12 @@ class Minimum:
 def squared_residuals(problem: BundleProblem, equations: BundleEquations) -> tuple[ndarray, ndarray]:
     """All cameras' squared residual lengths and visibility, flattened: two arrays (*batch, cameras * views * n)."""
     r2 = [e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1) for e in equations.cameras]
-    seen = [c.is_seen.reshape(*c.is_seen.shape[:-2], -1) for c in problem.cameras]
-    return np.concatenate(r2, axis=-1), np.concatenate(seen, axis=-1)
+    return np.concatenate(r2, axis=-1), visibility(problem)
+
+
+def visibility(problem: BundleProblem) -> Bool[ndarray, "*batch corners"]:
+    """All cameras' seen corners, flattened."""
+    return np.concatenate([c.is_seen.reshape(*c.is_seen.shape[:-2], -1) for c in problem.cameras], axis=-1)
 
 
 def noise_estimate_px(problem: BundleProblem, equations: BundleEquations) -> Float[ndarray, "*batch"]:
@@ -95,13 +100,11 @@ def minimize(
     kernel = options.kernel
     batch = start.t_left_board.shape[:-2]
     if scale_px is None:
-        scale = np.ones(batch)
-        first = linearize(problem, start, scale, "squared")
-        scale = options.scale_factor * noise_estimate_px(problem, first)
-        equations = first if kernel == "squared" else linearize(problem, start, scale, kernel)
+        noise_px = robust.scale_from_median(residual_lengths2(problem, start), visibility(problem))
+        scale = options.scale_factor * np.where(np.isfinite(noise_px), noise_px, 1.0)
     else:
         scale = np.broadcast_to(np.asarray(scale_px, dtype=float), batch).copy()
-        equations = linearize(problem, start, scale, kernel)
+    equations = linearize(problem, start, scale, kernel)
     estimate, cost = start, equations.cost_px2
     damping = np.full(batch, options.initial_damping)
     n_iterations = np.zeros(batch, dtype=int)

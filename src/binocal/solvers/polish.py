@@ -19,9 +19,9 @@ from binocal.solvers.bundle import (
     BundleProblem,
     BundleStep,
     adjoint,
+    camera_poses,
     linearize,
     retract,
-    right_poses,
 )
 from binocal.solvers.least_squares import Minimum
 
@@ -72,9 +72,7 @@ def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate) -> Bundle
     n_shared = problem.n_shared
     shared, pose, residual = [], [], []
     column = 0
-    poses = [(estimate.R_left_board, estimate.t_left_board)]
-    if problem.is_stereo:
-        poses.append(right_poses(estimate))
+    poses = camera_poses(problem, estimate)
     for index, (camera, (R, t)) in enumerate(zip(problem.cameras, poses, strict=True)):
         J = unweighted_columns(
             camera.model, estimate.parameters[index], R, t, problem.object_points, camera.pixels, camera.is_seen
