@@ -36,6 +36,7 @@ Progress = Callable[[str, int, int], None]
 ShouldStop = Callable[[], bool]
 
 DEMO_SQUARES_M = (0.010, 0.020)  # the two boards of PAPER table 3
+HELD_OUT_STREAM = 999  # far from the streams that the rendered views are drawn from
 SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
 
 
@@ -63,7 +64,7 @@ class SimulateOptions:
 class CalibrationRun:
     """A calibration from pictures: the result, and what became of every file.
 
-    ``ignored`` holds (path, reason) of files that were left out of the pairing; ``notes`` are remarks that need no action.
+    ``ignored`` holds (path, reason) of files left out of the pairing; ``notes`` are remarks that need no action.
     """
 
     calibration: StereoCalibration
@@ -166,8 +167,8 @@ def simulate(
 ) -> native.Truth:
     """Render ``n_pairs`` pictures of a board into ``output``: left_00.png, right_00.png, …, and truth.json.
 
-    The same seed gives the same pictures, whatever the number of threads. ``output`` appears in full or not at all; with
-    ``force``, the pictures of an earlier simulation in it are replaced and every other file is left alone.
+    The same seed gives the same pictures, whatever the number of threads. ``output`` appears in full or not at all.
+    With ``force``, an earlier simulation's pictures in it are replaced and every other file is left alone.
 
     Raises:
         ValueError: The board has no length unit, or there are no pairs to render.
@@ -222,7 +223,7 @@ def evaluate_pictures(
     """Pixel error, rectified row error and measured lengths of a rig on pictures of a board.
 
     Raises:
-        DataError: The pictures cannot be used, their size is not the rig's, or the board lacks the length that the rig needs.
+        DataError: The pictures cannot be used, their size is not the rig's, or the board lacks the length it needs.
     """
     if rig.is_metric and not board.is_metric:
         raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
@@ -241,7 +242,7 @@ def evaluate_pictures(
     if board.is_metric and not rig.is_metric:
         detections = replace(detections, object_points_m=detections.object_points_m / board.pitch_m, is_metric=False)
         side_m /= board.pitch_m
-        notes.append("the rig is in board pitches: lengths are compared as if this were the board that it was calibrated with.")
+        notes.append("the rig is in board pitches: lengths are compared as if this board had calibrated it.")
     return _evaluate_detections(rig, detections, side_m, found, notes)
 
 
@@ -272,7 +273,7 @@ def demo(
         run = calibrate_pictures(left, right, board, CalibrateOptions(model="brown4", seed=seed), progress=told)
         native.write_calibration(folder / "rig.json", run.calibration, force=force)
         evaluation = evaluate_truth(run.calibration, truth)
-        lengths = image.length_error(run.calibration.rig, _exact_detections(truth))
+        lengths = image.length_error(run.calibration.rig, _held_out_detections(truth, n_pairs, seed))
         cases.append(DemoCase(name, folder, run, evaluation, lengths))
     return tuple(cases)
 
@@ -298,7 +299,7 @@ def check_output_folder(output: str | Path, *, force: bool = False) -> Path:
 
 @contextlib.contextmanager
 def staged_folder(output: str | Path, *, force: bool = False) -> Iterator[Path]:
-    """A temporary folder beside ``output`` whose files move there when the block ends well, and vanish when it does not."""
+    """A temporary folder beside ``output``; its files move there if the block ends well, and vanish if it does not."""
     output = check_output_folder(output, force=force)
     try:
         aside = Path(tempfile.mkdtemp(prefix=f".{output.name}.", suffix=".part", dir=output.parent))
@@ -377,8 +378,8 @@ def _evaluate_detections(
     for name, rms_px in zip(detections.names, pixel_error.view_rms_px, strict=True):
         if rms_px > SUSPECT_VIEW_FACTOR * usual_px:
             notes.append(
-                f"view {name}: {rms_px:.3g} px against {usual_px:.3g} px in the median view: its pictures may not belong "
-                "together, or its corners are wrong."
+                f"view {name}: {rms_px:.3g} px against {usual_px:.3g} px in the median view: "
+                "its pictures may not belong together, or its corners are wrong."
             )
     try:
         row_error = image.rectified_row_error(rig, detections)
@@ -391,10 +392,8 @@ def _evaluate_detections(
     )
 
 
-def _bound(
-    calibration: StereoCalibration, truth: native.Truth, has_skew: bool, notes: list[str]
-) -> Covariance | None:
-    """The Cramér-Rao bound at the true rig, written in the camera model that was estimated; None, with a note, without one."""
+def _bound(calibration: StereoCalibration, truth: native.Truth, has_skew: bool, notes: list[str]) -> Covariance | None:
+    """The Cramér-Rao bound at the true rig, in the camera model that was estimated; None, with a note, without one."""
     from binocal.solvers.covariance import cramer_rao_bound
 
     left = pose.in_model(truth.rig.left, calibration.rig.left.model)
@@ -432,18 +431,19 @@ def _is_inside(pixels: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
         return np.all((pixels >= -0.5) & (pixels <= np.array(size_wh) - 0.5), axis=-1)
 
 
-def _exact_detections(truth: native.Truth) -> Detections:
-    """The true corners of a truth's views, NaN where outside the picture."""
-    points = truth.board.object_points_m
+def _held_out_detections(truth: native.Truth, n_views: int, seed: int) -> Detections:
+    """Exact corners of new views of the truth's rig and board: what a rig measures on them is its own error alone."""
+    from binocal.simulation import sample_board_poses
+
+    rig, points = truth.rig, truth.board.object_points_m
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(HELD_OUT_STREAM,)))
+    T_left_board = sample_board_poses(rig, truth.board, n_views, rng)
     sides = []
-    for camera, poses in (
-        (truth.rig.left, truth.T_left_board),
-        (truth.rig.right, truth.rig.T_right_left @ truth.T_left_board),
-    ):
+    for camera, poses in ((rig.left, T_left_board), (rig.right, rig.T_right_left @ T_left_board)):
         pixels = camera.project(poses.apply(points))
         pixels[~_is_inside(pixels, camera.size_wh)] = np.nan
         sides.append(pixels)
-    return Detections(points, sides[0], sides[1], truth.rig.left.size_wh, truth.rig.right.size_wh, truth.names)
+    return Detections.from_arrays(points, sides[0], sides[1], rig.left.size_wh, right_image_size_wh=rig.right.size_wh)
 
 
 def _render(
@@ -496,7 +496,10 @@ def _digest(paths: Sequence[Any]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         digest.update(Path(path).name.encode() + b"\0")
-        with contextlib.suppress(OSError), open(path, "rb") as file:  # an unreadable picture was rejected by name before
+        with (
+            contextlib.suppress(OSError),
+            open(path, "rb") as file,
+        ):  # an unreadable picture was rejected by name before
             digest.update(file.read())
     return digest.hexdigest()
 
@@ -504,7 +507,12 @@ def _digest(paths: Sequence[Any]) -> str:
 def _opencv_version() -> str:
     from importlib.metadata import PackageNotFoundError, version
 
-    for package in ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python"):
+    for package in (
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+    ):
         with contextlib.suppress(PackageNotFoundError):
             return version(package)
     return "unknown"

@@ -64,10 +64,11 @@ class Rectification:
 def rectify(rig: StereoRig) -> Rectification:
     """Rectification of a rig, for every camera model.
 
-    Each camera is turned by half of the rotation between them, then both by the smallest rotation that lays the baseline
-    on an axis (Bouguet's method, the one that OpenCV uses). The common focal length is the smaller of the vertical ones
-    (the horizontal ones if vertical), the common principal point centres both pictures. Deviation from OpenCV: focal length
-    and centre come from the middle of the picture alone, so that they exist for lenses that see 90° aside and beyond.
+    Each camera is turned by half of the rotation between them, then both by the smallest rotation that lays the
+    baseline on an axis (Bouguet's method, the one that OpenCV uses). The common focal length is the smaller of the
+    vertical ones (the horizontal ones if vertical), the common principal point centres both pictures. Deviation from
+    OpenCV: focal length and centre come from the middle of the picture alone, so that they exist for lenses that see
+    90° aside and beyond.
 
     Raises:
         DegenerateGeometryError: The baseline is zero, or within 30° of the viewing direction; or a camera looks away

@@ -92,14 +92,25 @@ def write_opencv(path: str | Path, rig: StereoRig, *, force: bool = False) -> No
         ("P2", rectification.P_right),
         ("Q", rectification.Q),
     ]
+    targets = check_opencv_output(path, force=force)
+    parts = [camera_keys + pair_keys] if len(targets) == 1 else [camera_keys, pair_keys]
+    for target, keys in zip(targets, parts, strict=True):
+        write_aside(target, _format_storage(keys), force=force)
+
+
+def check_opencv_output(path: str | Path, *, force: bool = False) -> list[Path]:
+    """The file, or the two files, that :func:`write_opencv` would write, once it is known that they may be.
+
+    Raises:
+        DataError: The path is neither a .yml file nor a folder, or cannot be written to.
+        OutputExistsError: A file is there and ``force`` is False.
+    """
+    path = Path(path)
     if path.suffix.lower() in (".yml", ".yaml"):
-        write_aside(path, _format_storage(camera_keys + pair_keys), force=force)
-        return
+        return [check_output(path, force=force)]
     if path.suffix:
         raise DataError(f"{path}: OpenCV output is a .yml file, or a folder for intrinsics.yml and extrinsics.yml.")
-    targets = [check_output(path / name, force=force) for name in ("intrinsics.yml", "extrinsics.yml")]
-    for target, keys in zip(targets, (camera_keys, pair_keys), strict=True):
-        write_aside(target, _format_storage(keys), force=force)
+    return [check_output(path / name, force=force) for name in ("intrinsics.yml", "extrinsics.yml")]
 
 
 def check_writable_for_opencv(rig: StereoRig) -> None:

@@ -184,7 +184,7 @@ def similarity_scale(source: Float[ndarray, "n 3"], measured: Float[ndarray, "n 
 def board_sides(
     object_points_m: Float[ndarray, "n 3"], side_m: float | None = None
 ) -> tuple[Int[ndarray, "s 2"], Float[ndarray, "s"]]:
-    """Pairs of board points ``side_m`` (by default the least distance) apart within 0.1 %, and their exact distances."""
+    """Pairs of board points ``side_m`` (default: the least distance) apart within 0.1 %, and their exact distances."""
     distance_m = np.linalg.norm(object_points_m[:, None] - object_points_m[None], axis=-1)
     upper = np.triu_indices(len(object_points_m), 1)
     d = distance_m[upper]
