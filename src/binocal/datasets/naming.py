@@ -108,9 +108,9 @@ def _constant_tokens(names: list[tuple[str, ...]]) -> set[tuple[int, str]]:
 
 
 def _common_words(names: list[tuple[str, ...]]) -> set[str]:
-    """Words in at least half of a side's names."""
+    """Words in more than half of a side's names."""
     counts = Counter(token for tokens in names for token in set(tokens))
-    return {token for token, count in counts.items() if 2 * count >= len(names)}
+    return {token for token, count in counts.items() if 2 * count > len(names)}
 
 
 def _can_tell_sides(substitution: _Substitution, common: tuple[set[str], set[str]]) -> bool:
