@@ -44,8 +44,8 @@ def estimate_board_poses(rig: StereoRig, detections: Detections) -> BoardPoses:
     models = [camera_model(c.model) for c in (rig.left, rig.right)]
     corners = (detections.left_px, detections.right_px)
     starts = []
-    for index, (model, camera) in enumerate(zip(models, (rig.left, rig.right), strict=True)):
-        found = estimate_poses(model, camera.parameters, detections.object_points_m, corners[index])
+    for index, camera in enumerate((rig.left, rig.right)):
+        found = estimate_poses(camera.model, camera.parameters, detections.object_points_m, corners[index])
         R, t = found.R, found.t
         if index == 1:
             R, t = T.R.T @ R, (t - T.t) @ T.R
