@@ -55,7 +55,7 @@ class InitialCamera:
 
 def estimate_intrinsics(
     object_points: Float[ndarray, "n d"], pixels: Float[ndarray, "views n 2"], size_wh: tuple[int, int], model: str,
-    *, has_skew: bool = False, homographies: HomographyFit | None = None,
+    *, has_skew: bool = False, homographies: HomographyFit | None = None, focal_px: tuple[float, float] | None = None,
 ) -> InitialCamera:
     """Camera and board poses from corners alone, no nominal focal length; NaN = not seen, object points in z = 0.
 
@@ -86,7 +86,9 @@ def estimate_intrinsics(
         sigma = _view_sigma(distance, weights[usable])
         covariance = covariance * np.square(sigma / lifting.unit_px)[:, None, None]
         vanishing = estimate_pinhole(
-            columns, covariance, sigma_centre=np.minimum(3 * lifting.sigma_centre + 0.005, _CENTRE_PRIOR), has_skew=has_skew
+            columns, covariance, sigma_centre=np.minimum(3 * lifting.sigma_centre + 0.005, _CENTRE_PRIOR),
+            has_skew=has_skew,
+            log_focal=None if focal_px is None else (np.log(focal_px[0] / lifting.unit_px), focal_px[1] / focal_px[0]),
         )
         K = vanishing.K
         is_square = abs(K[0, 0] / K[1, 1] - 1) < _ASPECT_TOLERANCE

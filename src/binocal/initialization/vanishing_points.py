@@ -121,12 +121,13 @@ def estimate_pinhole(
     *,
     sigma_centre: Float[ndarray, "2"],
     has_skew: bool = False,
+    log_focal: tuple[float, float] | None = None,
 ) -> VanishingEstimate:
     """K from the first two columns of each view's homography and their covariance, order (h11, h21, h31, h12, h22, h32).
 
     The closed form is tried with as many parameters as the views can carry and falls back, loudly (``notes``), to fewer. The polish
     minimises the squared constraints in standard deviations under weak priors: principal point within ``sigma_centre`` of the origin,
-    fx / fy within 20 % of 1; where the views speak, the priors are silent. One weight per view (Cauchy) tames bad views.
+    fx / fy within 20 % of 1, and ``log_focal`` (value, sigma) where another camera vouches for it; where the views speak, the priors are silent. One weight per view (Cauchy) tames bad views.
 
     Raises:
         TooFewViewsError: No view at all.
@@ -161,9 +162,9 @@ def estimate_pinhole(
             "the closed form gave no plausible principal point; it was started at the centre"
             + (" with fx = fy" if freedom == 1 else "")
         )
-    best = _polish(_pack(K), columns, covariance, sigma_centre, has_skew)
+    best = _polish(_pack(K), columns, covariance, sigma_centre, has_skew, log_focal)
     if best[0] > 20 * n_views:  # a typical view misses its constraints by 7 sigma: try another valley
-        other = _polish(_pack(_scan_focal(columns, covariance)), columns, covariance, sigma_centre, has_skew)
+        other = _polish(_pack(_scan_focal(columns, covariance)), columns, covariance, sigma_centre, has_skew, log_focal)
         best = min(best, other, key=lambda result: result[0])
     _, theta, residuals, weights, information = best
     sigma_log_focal, centre = _uncertainty(theta, columns, covariance, information, n_views)
@@ -240,14 +241,17 @@ def _scan_focal(columns: ndarray, covariance: ndarray) -> Float[ndarray, "3 3"]:
 
 
 def _polish(
-    theta: Float[ndarray, "5"], columns: ndarray, covariance: ndarray, sigma_centre: ndarray, has_skew: bool
+    theta: Float[ndarray, "5"], columns: ndarray, covariance: ndarray, sigma_centre: ndarray, has_skew: bool,
+    log_focal: tuple[float, float] | None,
 ) -> tuple[float, ndarray, ndarray, ndarray, ndarray]:
     """Robust cost, parameters, whitened residuals, view weights and information (priors left out) after Gauss-Newton."""
     n_free = 5 if has_skew else 4
     theta = theta.copy()
     if not has_skew:
         theta[4] = 0.0
-    prior_sigma = np.r_[np.inf, 0.2, sigma_centre, 0.02][:n_free]
+    value, sigma = (0.0, np.inf) if log_focal is None else log_focal
+    prior_mean = np.r_[value, 0, 0, 0, 0][:n_free]
+    prior_sigma = np.r_[sigma, 0.2, sigma_centre, 0.02][:n_free]
     prior = 1 / prior_sigma**2
     step_size = 1e-6 * np.eye(5)[:n_free]
     for _ in range(8):
@@ -258,7 +262,7 @@ def _polish(
         J = (W @ J) * weights[:, None, None]
         J = J.reshape(-1, n_free)
         information = J.T @ J
-        gradient = J.T @ (residuals * weights[:, None]).ravel() + prior * theta[:n_free]
+        gradient = J.T @ (residuals * weights[:, None]).ravel() + prior * (theta[:n_free] - prior_mean)
         step = -np.linalg.solve(information + np.diag(prior + 1e-9 + 1e-6 * np.diag(information)), gradient)
         step = np.clip(step, -0.4, 0.4)
         theta[:n_free] += step
@@ -270,7 +274,7 @@ def _polish(
     residuals, _ = _whitened(theta, columns, covariance)
     weights = _view_weights(residuals)
     scale2 = max(1.0, float(np.median(np.sum(residuals**2, axis=-1))) / 1.386)
-    cost = float(np.sum(np.log1p(np.sum(residuals**2, axis=-1) / 9)) * 9 + np.sum(prior * theta[:n_free] ** 2))
+    cost = float(np.sum(np.log1p(np.sum(residuals**2, axis=-1) / 9)) * 9 + np.sum(prior * (theta[:n_free] - prior_mean) ** 2))
     return cost, theta, residuals, weights, information / scale2
 
 
@@ -312,8 +316,8 @@ def _uncertainty(
         significance = np.sum(slopes[:, None, :] @ np.linalg.inv(C + 1e-12 * np.eye(2)) @ slopes[..., None], axis=(-1, -2))
     share = float(np.mean(np.maximum(0.0, 1 - 9 / np.maximum(np.nan_to_num(significance), 1e-9))))
     weak_prior = np.r_[0.0, 1 / 0.05**2, 1 / 0.15**2, 1 / 0.15**2, 1 / 0.01**2][: len(information)]
-    C = np.linalg.inv(information * share + np.diag(weak_prior + 1e-9))
-    free = np.linalg.inv(information * share + np.diag(np.r_[1e-9, 1 / 0.05**2, 1e-9, 1e-9, 1 / 0.01**2][: len(information)]))
+    C = np.linalg.inv(information * share + np.diag(weak_prior + 1e-2))
+    free = np.linalg.inv(information * share + np.diag(np.r_[1e-2, 1 / 0.05**2, 1e-2, 1e-2, 1 / 0.01**2][: len(information)]))
     return float(np.sqrt(C[0, 0])), np.sqrt(np.diag(free)[2:4])
 
 
