@@ -56,7 +56,7 @@ def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoC
         options,
         calibrator="lm",
         rejected=rejected,
-        notes=diagnosis.notes,
+        notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
         warnings=diagnosis.warnings,
         n_iterations=n_iterations,
     )
@@ -78,13 +78,12 @@ def _problem(views: Detections, options: CalibrationOptions) -> BundleProblem:
 
 
 def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
-    T_left_board, T_right_left = diagnosis.T_left_board[used], diagnosis.T_right_left
     return BundleEstimate(
-        (diagnosis.left_parameters, diagnosis.right_parameters),
-        T_left_board.R,
-        T_left_board.t,
-        T_right_left.R,
-        T_right_left.t,
+        (diagnosis.left.parameters, diagnosis.right.parameters),
+        diagnosis.R_left_board[used],
+        diagnosis.t_left_board[used],
+        diagnosis.T_right_left.R,
+        diagnosis.T_right_left.t,
     )
 
 
