@@ -78,7 +78,7 @@ def noise_estimate_px(problem: BundleProblem, equations: BundleEquations) -> Flo
 
 def _cost(problem: BundleProblem, equations: BundleEquations, scale_px: ndarray, kernel: robust.Kernel) -> ndarray:
     """Robust cost of stored residuals under another scale."""
-    total = np.zeros(np.shape(scale_px))
+    total = np.asarray(scale_px) ** 2 * equations.prior_energy
     for e in equations.cameras:
         r2 = e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1)
         total = total + robust.costs(r2, np.asarray(scale_px)[..., None], kernel).sum(axis=-1)
@@ -163,4 +163,9 @@ def _select_equations(take: ndarray, new: BundleEquations, old: BundleEquations)
         type(a)(pick(a.gram, b.gram), pick(a.r2_px2, b.r2_px2), pick(a.cost_px2, b.cost_px2))
         for a, b in zip(new.cameras, old.cameras, strict=True)
     )
-    return BundleEquations(cameras, pick(new.cost_px2, old.cost_px2))
+    return BundleEquations(
+        cameras,
+        pick(new.cost_px2, old.cost_px2),
+        pick(new.prior_energy, old.prior_energy),
+        pick(new.scale_px, old.scale_px),
+    )
