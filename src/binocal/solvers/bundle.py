@@ -284,3 +284,22 @@ def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleE
         pick(new.R_right_left, old.R_right_left),
         pick(new.t_right_left, old.t_right_left),
     )
+
+
+def select_equations(
+    take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations
+) -> BundleEquations:
+    """Rig by rig, the new equations where ``take``, else the old ones."""
+    def pick(a: ndarray, b: ndarray) -> ndarray:
+        return np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
+
+    cameras = tuple(
+        type(a)(pick(a.gram, b.gram), pick(a.r2_px2, b.r2_px2), pick(a.cost_px2, b.cost_px2))
+        for a, b in zip(new.cameras, old.cameras, strict=True)
+    )
+    return BundleEquations(
+        cameras,
+        pick(new.cost_px2, old.cost_px2),
+        pick(new.prior_energy, old.prior_energy),
+        pick(new.scale_px, old.scale_px),
+    )

@@ -20,6 +20,7 @@ from binocal.solvers.bundle import (
     linearize,
     residual_lengths2,
     retract,
+    select_equations,
     select_rigs,
     solve_step,
 )
@@ -131,7 +132,7 @@ def minimize(
             estimate, equations = candidate, trial
         elif take.any():
             estimate = select_rigs(take, candidate, estimate)
-            equations = _select_equations(take, trial, equations)
+            equations = select_equations(take, trial, equations)
         mad = np.maximum(options.scale_factor * noise_estimate_px(problem, equations), 1e-300)
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
         damping = np.where(take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping))
@@ -153,19 +154,3 @@ def minimize(
 
 def _raised(damping: ndarray, options: LoopOptions) -> ndarray:
     return np.maximum(damping * options.damping_rise, options.least_raised_damping)
-
-
-def _select_equations(take: ndarray, new: BundleEquations, old: BundleEquations) -> BundleEquations:
-    def pick(a: ndarray, b: ndarray) -> ndarray:
-        return np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
-
-    cameras = tuple(
-        type(a)(pick(a.gram, b.gram), pick(a.r2_px2, b.r2_px2), pick(a.cost_px2, b.cost_px2))
-        for a, b in zip(new.cameras, old.cameras, strict=True)
-    )
-    return BundleEquations(
-        cameras,
-        pick(new.cost_px2, old.cost_px2),
-        pick(new.prior_energy, old.prior_energy),
-        pick(new.scale_px, old.scale_px),
-    )
