@@ -1,4 +1,4 @@
-"""Draws docs/rectified.svg: a board as a stereo rig sees it, before and after rectification. `python docs/make_picture.py`.
+"""Draws docs/rectified.svg, a board as a stereo rig sees it and rectified: `python docs/make_picture.py`.
 
 Every corner is computed by the camera models and the rectification that the library uses; nothing is drawn by hand.
 """
@@ -40,7 +40,7 @@ def squares() -> list[np.ndarray]:
 
 
 def picture() -> str:
-    """The SVG: two rows (raw, rectified) of two pictures (left, right), with the rows of three board corners drawn through."""
+    """The SVG: two rows (raw, rectified) of two pictures (left, right), the rows of three corners drawn through."""
     rig = make_rig()
     r = rectify(rig)
     T_left_board = SE3(so3.exp(np.array([0.25, 0.35, 0.05])), np.array([0.02, 0.0, 0.33]))
