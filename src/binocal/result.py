@@ -58,8 +58,17 @@ class ResidualSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class OutlierCorner:
+    """A corner that the solver gave no weight: which camera (``left`` or ``right``), its index on the board, its distance from the fit."""
+
+    camera: str
+    corner: int
+    distance_px: float
+
+
+@dataclass(frozen=True, slots=True)
 class ViewResult:
-    """A view that was used. ``n_outliers`` of its ``n_corners`` corners (both cameras) were rejected; RMS is over the others.
+    """A view that was used. ``outliers`` among its ``n_corners`` corners (both cameras) were rejected; RMS is over the others.
 
     ``note`` says what was repaired, if anything. An RMS is NaN where the camera did not see the board.
     """
@@ -69,8 +78,13 @@ class ViewResult:
     left_rms_px: float
     right_rms_px: float
     n_corners: int
-    n_outliers: int
+    outliers: tuple[OutlierCorner, ...] = ()
     note: str = ""
+
+    @property
+    def n_outliers(self) -> int:
+        """Number of rejected corners."""
+        return len(self.outliers)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,197 @@
+"""Left and right pictures of a folder, paired by the name or number that they share."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+
+from binocal.datasets.naming import Naming, find_naming, natural_key
+from binocal.errors import DataError
+
+PICTURE_SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".pgm", ".ppm", ".pnm"))
+_COPY = re.compile(r"^(?P<original>.+?)(?:\s*[-_ ]?\s*copy(?:\s*\(?\d+\)?)?|\s*\(\d+\))$", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class PicturePair:
+    """A left and a right picture that were taken together; ``name`` is what their file names share."""
+
+    name: str
+    left_path: Path
+    right_path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """Pairs in natural order (2 before 10), and every other file with the reason why it is in no pair."""
+
+    pairs: tuple[PicturePair, ...]
+    ignored: tuple[tuple[Path, str], ...] = ()
+
+
+def list_pairs(
+    left: str | PathLike[str] | Sequence[str | PathLike[str]],
+    right: str | PathLike[str] | Sequence[str | PathLike[str]],
+) -> Pairing:
+    """Pairs of left and right pictures, each side given as a glob, a folder, a file or a sequence of files.
+
+    Pictures are paired by what their names share once the part that tells the sides apart is taken away (left01 and right01,
+    imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they tell pictures apart. Nothing is
+    paired by position: orphans, copies ("left03 (1).jpg") and double numbers are listed in ``ignored``. Two single files are
+    a pair whatever they are called.
+
+    Raises:
+        DataError: A side holds no picture, no name is shared, or left and right are the same pictures.
+    """
+    ignored: dict[Path, str] = {}
+    sides = [_list_pictures(side, source, ignored) for side, source in (("left", left), ("right", right))]
+    lefts, rights = sides
+    if len(lefts) == len(rights) == 1 and lefts[0] != rights[0]:
+        naming = find_naming(lefts, rights)
+        name = naming.left_names.get(lefts[0], "") if naming else ""
+        candidates = [PicturePair(name or lefts[0].stem, lefts[0], rights[0])]
+    else:
+        naming = find_naming(lefts, rights)
+        if naming is None:
+            if set(lefts) & set(rights):
+                raise DataError(
+                    f"{left} and {right}: left and right are the same pictures; name each camera's own pictures."
+                )
+            raise DataError(
+                f"{len(lefts)} left and {len(rights)} right pictures share no name or number (such as {lefts[0].name} and "
+                f"{rights[0].name}); give pictures of one moment the same number, such as left01.png and right01.png."
+            )
+        candidates = _match(naming, lefts, rights, ignored)
+    if len({pair.name for pair in candidates}) < len(candidates):
+        candidates = [replace(pair, name=str(pair.left_path)) for pair in candidates]
+    pairs = _drop_identical(candidates, ignored)
+    order = sorted(ignored, key=lambda path: natural_key(str(path)))
+    return Pairing(tuple(pairs), tuple((path, ignored[path]) for path in order))
+
+
+def _list_pictures(
+    side: str, source: str | PathLike[str] | Sequence[str | PathLike[str]], ignored: dict[Path, str]
+) -> list[Path]:
+    """The side's pictures in natural order; what is no picture or a copy goes to ``ignored``."""
+    is_listed = not isinstance(source, (str, PathLike))
+    if is_listed:
+        found = [Path(path) for path in source]
+        text = f"the list of {len(found)} {side} pictures"
+    else:
+        text = os.fspath(source)
+        found = _expand(side, text)
+    found = sorted({Path(os.path.normpath(path)) for path in found}, key=lambda path: natural_key(str(path)))
+    pictures = []
+    for path in found:
+        if path.suffix.lower() in PICTURE_SUFFIXES or (len(found) == 1 and not path.is_dir()):
+            pictures.append(path)
+        elif not path.is_dir():
+            ignored[path] = "is not a picture (by its suffix)"
+    present = {(path.parent, path.stem.lower()) for path in pictures}
+    for path in list(pictures):
+        copy = _COPY.match(path.stem)
+        if copy and (path.parent, copy["original"].strip().lower()) in present:
+            ignored[path] = f"is a copy of {copy['original'].strip()}{path.suffix}"
+            pictures.remove(path)
+    if not pictures:
+        raise DataError(f"{side}: no picture in {text}; {_describe_folder(text if not is_listed else '')}")
+    return pictures
+
+
+def _expand(side: str, text: str) -> list[Path]:
+    text = os.path.expanduser(text)
+    path = Path(text)
+    if path.is_file():  # before globbing: a real name may hold brackets
+        return [path]
+    if path.is_dir():
+        return [entry for entry in path.iterdir() if not entry.name.startswith(".")]
+    matches = [Path(match) for match in glob.glob(text, recursive=True)]
+    folders = [match for match in matches if match.is_dir()]
+    files = [match for match in matches if not match.is_dir()]
+    if folders and not files:
+        return [entry for folder in folders for entry in folder.iterdir() if not entry.name.startswith(".")]
+    if not matches:
+        raise DataError(f"{side}: nothing matches {text}; {_describe_folder(text)}")
+    return files
+
+
+def _describe_folder(text: str) -> str:
+    """What the folder of a glob does hold, as the end of an error's sentence."""
+    if not text:
+        return "name at least one PNG, JPEG, TIFF or BMP file."
+    folder = Path(os.path.expanduser(text))
+    while folder != folder.parent and (glob.has_magic(str(folder)) or not folder.is_dir()):
+        missing, folder = folder, folder.parent
+        if not glob.has_magic(str(missing)) and folder.is_dir() and missing.suffix == "":
+            return f"there is no {missing.name} in {folder}; check the folder's name."
+    names = sorted((entry.name for entry in folder.iterdir() if not entry.name.startswith(".")), key=natural_key)
+    if not names:
+        return f"{folder} is empty."
+    return f"{folder} holds {len(names)} entries such as {', '.join(names[:4])}; check the pattern."
+
+
+def _match(naming: Naming, lefts: list[Path], rights: list[Path], ignored: dict[Path, str]) -> list[PicturePair]:
+    """Pairs of equal keys; everything else is explained in ``ignored``."""
+    by_key: dict[str, dict[object, list[Path]]] = {"left": defaultdict(list), "right": defaultdict(list)}
+    for side, paths, keys in (("left", lefts, naming.left_keys), ("right", rights, naming.right_keys)):
+        for path in paths:
+            if path in keys:
+                by_key[side][keys[path]].append(path)
+    pairs, used = [], set()
+    for key, paths in by_key["left"].items():
+        partners = by_key["right"].get(key, [])
+        if len(paths) == len(partners) == 1:
+            pairs.append(PicturePair(naming.left_names[paths[0]], paths[0], partners[0]))
+            used.update((paths[0], partners[0]))
+    for side, other, paths, keys in (
+        ("left", "right", lefts, naming.left_keys),
+        ("right", "left", rights, naming.right_keys),
+    ):
+        for path in paths:
+            if path in used:
+                continue
+            key = keys.get(path)
+            same = [] if key is None else by_key[side][key]
+            partners = [] if key is None else by_key[other].get(key, [])
+            if len(same) > 1:
+                twin = next(candidate for candidate in same if candidate != path)
+                ignored[path] = f"{side} has another picture of the same name or number, {twin.name}"
+            elif partners:
+                ignored[path] = f"{other} has {len(partners)} pictures for it: {', '.join(p.name for p in partners)}"
+            else:
+                ignored[path] = f"has no {other} partner"
+    return sorted(pairs, key=lambda pair: natural_key(pair.name))
+
+
+def _drop_identical(pairs: list[PicturePair], ignored: dict[Path, str]) -> list[PicturePair]:
+    """Pairs whose two files differ; the same bytes on both sides are no stereo pair."""
+    kept = []
+    for pair in pairs:
+        if _are_same_bytes(pair.left_path, pair.right_path):
+            ignored[pair.left_path] = f"is the same picture as {pair.right_path}"
+            ignored[pair.right_path] = f"is the same picture as {pair.left_path}"
+        else:
+            kept.append(pair)
+    if pairs and not kept:
+        first = pairs[0]
+        raise DataError(
+            f"left and right are the same pictures (such as {first.left_path} and {first.right_path}); "
+            "name each camera's own pictures."
+        )
+    return kept
+
+
+def _are_same_bytes(left: Path, right: Path) -> bool:
+    """Missing files differ from everything: reading them reports them by name."""
+    try:
+        if os.path.samefile(left, right):
+            return True
+        return left.stat().st_size == right.stat().st_size > 0 and left.read_bytes() == right.read_bytes()
+    except OSError:
+        return False

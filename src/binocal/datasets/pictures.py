@@ -1,0 +1,142 @@
+"""Reading pictures strictly: a file is a whole picture of a supported kind, or a named error.
+
+Decoders are forgiving where a calibration must not be: a truncated JPEG decodes to a picture whose lower half is grey.
+So the container's own structure is walked first (:mod:`binocal.datasets.containers`), and only then is it decoded.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.datasets.containers import identify_container, structure_problem
+from binocal.errors import FormatError
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8, UInt16
+
+    Picture = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"] | UInt8[ndarray, "h w 3"] | UInt16[ndarray, "h w 3"]
+    GreyPicture = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"]
+
+_REMEDY = "export it as 8- or 16-bit PNG, TIFF, JPEG or BMP"
+
+
+def read_picture(path: str | PathLike[str]) -> Picture:
+    """The pixels of a PNG, JPEG, TIFF, BMP or PNM file as the sensor wrote them.
+
+    Grey pictures are (h, w), colour ones (h, w, 3) in OpenCV's blue-green-red order; uint8 or uint16. Transparency is
+    dropped. An EXIF orientation is ignored on purpose: a calibration belongs to the sensor's pixels, not to their display.
+
+    Raises:
+        FormatError: The file is missing, empty, truncated, no picture, or of an unsupported depth; the text says which.
+    """
+    return _decode(path, as_grey=False)
+
+
+def read_grey_picture(path: str | PathLike[str]) -> GreyPicture:
+    """As :func:`read_picture`, then :func:`to_grey`; a colour JPEG's own luma is taken, which is faster and as good.
+
+    Raises:
+        FormatError: As in :func:`read_picture`.
+    """
+    return to_grey(_decode(path, as_grey=True))
+
+
+def to_grey(image: Picture) -> GreyPicture:
+    """Luma of a picture (h, w) or (h, w, 3) or (h, w, 4), blue-green-red order, in its own depth (uint8 or uint16).
+
+    Raises:
+        ValueError: The shape or the depth is not a picture's.
+    """
+    image = np.asarray(image)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"a picture is uint8 or uint16; got {image.dtype}")
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (3, 4)) or 0 in image.shape:
+        raise ValueError(f"a picture is (h, w) or (h, w, 3); got {image.shape}")
+    if image.ndim == 2:
+        return image
+    import cv2
+
+    return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
+
+
+def _decode(path: str | PathLike[str], *, as_grey: bool) -> ndarray:
+    import cv2
+
+    path = Path(path)
+    content = _read_bytes(path)
+    container = identify_container(content)
+    if container is None:
+        raise FormatError(path, f"is not a picture{_describe_content(content)}; {_REMEDY}")
+    problem = structure_problem(content, container)
+    if problem:
+        raise FormatError(path, f"{problem}; copy or record the picture again")
+    flags = cv2.IMREAD_UNCHANGED
+    if as_grey and container == "JPEG":
+        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    with _quiet_opencv():
+        try:
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        except cv2.error:
+            image = None
+    if image is None or image.size == 0:
+        raise FormatError(path, f"is a damaged or unsupported {container} file; {_REMEDY}")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise FormatError(path, f"holds {image.dtype} pixels, but only 8- and 16-bit ones can be read; {_REMEDY}")
+    if image.ndim == 3:
+        image = image[..., 0] if image.shape[2] < 3 else image[..., :3]
+    return np.ascontiguousarray(image)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise FormatError(path, "there is no such file; check the name") from None
+    except IsADirectoryError:
+        raise FormatError(path, "is a folder, not a picture; name the pictures in it, such as left*.png") from None
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    if not content:
+        raise FormatError(path, "is an empty file; copy or record the picture again")
+    return content
+
+
+def _describe_content(content: bytes) -> str:
+    head = content[:512]
+    is_text = b"\0" not in head and all(byte >= 32 or byte in b"\t\r\n\f\b\x1b" for byte in head)
+    return " but text" if is_text else ""
+
+
+_quiet_lock = threading.Lock()
+_quiet_depth = 0
+_loud_level = 0
+
+
+@contextmanager
+def _quiet_opencv() -> Iterator[None]:
+    """OpenCV's log switched off while any thread decodes; the caller's level comes back with the last one."""
+    global _quiet_depth, _loud_level
+    from cv2.utils import logging
+
+    with _quiet_lock:
+        if _quiet_depth == 0:
+            _loud_level = logging.getLogLevel()
+            logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+        _quiet_depth += 1
+    try:
+        yield
+    finally:
+        with _quiet_lock:
+            _quiet_depth -= 1
+            if _quiet_depth == 0:
+                logging.setLogLevel(_loud_level)

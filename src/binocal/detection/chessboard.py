@@ -1,0 +1,208 @@
+"""Chessboards: lattices of X-corners compared with the SPEC, oriented, refined and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy import ndarray
+
+from binocal.boards import Board
+from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.lattice import Lattice, continues_beyond, find_lattices
+from binocal.detection.refinement import corner_covariance, estimate_noise_dn, refine_corners
+from binocal.detection.regularity import find_irregular
+from binocal.detection.xcorners import find_x_corners
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32
+
+MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
+COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
+_RIVAL_SPACING = 0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """One search: the lattices in a picture scaled by ``scale``, in that picture's pixels."""
+
+    smooth: Float32[ndarray, "h w"]
+    scale: float
+    radius_px: float
+    lattices: list[Lattice]
+
+
+def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
+    """The inner corners of a chessboard; ``stretched`` is the same picture as float32 in 0..255.
+
+    Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's two
+    (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the lower
+    right of the picture is chosen, which is the same in both cameras of a rig unless the board is turned by 135 degrees.
+    """
+    size = (max(board.columns, board.rows), min(board.columns, board.rows))
+    partial: tuple[Lattice, _Level] | None = None
+    other: Lattice | None = None
+    for level in _search_levels(stretched, size):
+        exact = [lattice for lattice in level.lattices if lattice.size == size]
+        if exact and exact[0].n_seen == board.n_points:
+            return _finish(grey, board, exact[0], level)
+        if exact and (partial is None or exact[0].n_seen > partial[0].n_seen):
+            partial = exact[0], level
+        rivals = _boards(level.lattices)
+        if len(rivals) > 1:
+            return _several(board, rivals)
+        if rivals and (other is None or rivals[0].n_seen > other.n_seen):
+            other = rivals[0]
+    if partial and partial[0].n_seen >= MIN_SHARE_SEEN * board.n_points:
+        return _finish(grey, board, *partial)
+    spec = f"{board.columns}x{board.rows}"
+    if other is None or partial is not None:
+        seen = partial[0].n_seen if partial else 0
+        text = f"only {seen} of the {board.n_points} corners were seen" if seen else "no chessboard found"
+        return not_found(board.n_points, text)
+    columns, rows = other.size
+    if columns > size[0] or rows > size[1]:
+        return _too_large(board, other.size)
+    return not_found(board.n_points, f"only {columns}x{rows} corners of the board's {spec} were seen", size_seen=other.size)
+
+
+def find_chessboard_size(stretched: Float32[ndarray, "h w"]) -> tuple[int, int] | None:
+    """Columns and rows (the larger first) of the largest complete chessboard in a picture of which nothing else is known."""
+    best: Lattice | None = None
+    for level in _search_levels(stretched, None):
+        for lattice in _boards(level.lattices)[:1]:
+            if best is None or lattice.n_seen > best.n_seen:
+                best = lattice
+    return best.size if best else None
+
+
+def _search_levels(stretched: Float32[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[_Level]:
+    """The picture's lattices, coarse to fine; most boards are found at the first level, at a fraction of the cost of the last."""
+    longest = max(stretched.shape)
+    halvings = max(0, int(np.floor(np.log2(longest / COARSEST_PX))))
+    settings = [(0.5**k, 1.5, 5.0) for k in range(halvings, -1, -1)] + [(1.0, 1.0, 3.0)]
+    settings += [(0.5, 1.0, 3.0)] if halvings else [(2.0, 1.2, 3.5)]
+    scaled: dict[float, ndarray] = {1.0: stretched}
+    for scale, sigma, radius_px in settings:
+        if scale not in scaled:
+            how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+            scaled[scale] = cv2.resize(stretched, None, fx=scale, fy=scale, interpolation=how)
+        smooth = cv2.GaussianBlur(scaled[scale], (0, 0), sigma)
+        least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
+        corners = find_x_corners(smooth, radius_px)
+        yield _Level(smooth, scale, radius_px, find_lattices(smooth, corners, radius_px, least=least, size=size))
+
+
+def _boards(lattices: list[Lattice]) -> list[Lattice]:
+    """The lattices that are boards: regular, nearly complete, and not much smaller than the largest of them."""
+    boards: list[Lattice] = []
+    for lattice in lattices:
+        rows, columns = lattice.points_px.shape[:2]
+        if min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_SEEN * rows * columns or not _is_regular(lattice):
+            continue
+        if boards and (
+            lattice.n_seen < 0.4 * boards[0].n_seen
+            or np.nanmedian(_spacing(lattice.points_px)) < _RIVAL_SPACING * np.nanmedian(_spacing(boards[0].points_px))
+            or any(_overlap(lattice, board) for board in boards)
+        ):
+            continue
+        boards.append(lattice)
+    return boards
+
+
+def _is_regular(lattice: Lattice) -> bool:
+    xy = _cells(lattice.points_px)
+    seen = np.isfinite(lattice.points_px[..., 0]).ravel()
+    points, spacing = lattice.points_px.reshape(-1, 2)[seen], _spacing(lattice.points_px).ravel()[seen]
+    return not find_irregular(xy[seen], points, spacing).any()
+
+
+def _overlap(lattice: Lattice, board: Lattice) -> bool:
+    """Whether most of a lattice lies inside the outline of a board."""
+    corners = board.points_px[[0, 0, -1, -1], [0, -1, -1, 0]]
+    if not np.isfinite(corners).all():
+        corners = board.points_px[np.isfinite(board.points_px[..., 0])]
+    hull = cv2.convexHull(corners.astype(np.float32))
+    centre = np.nanmean(lattice.points_px.reshape(-1, 2), axis=0)
+    return cv2.pointPolygonTest(hull, (float(centre[0]), float(centre[1])), False) >= 0
+
+
+def _cells(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "n 2"]:
+    rows, columns = grid.shape[:2]
+    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
+
+
+def _spacing(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows columns"]:
+    """Distance from each corner to the nearest of its four neighbours, and of the diagonal ones; NaN without any."""
+    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    rows, columns = grid.shape[:2]
+    steps = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]
+    distances = np.stack(
+        [np.linalg.norm(padded[1 + dy : rows + 1 + dy, 1 + dx : columns + 1 + dx] - grid, axis=-1) for dy, dx in steps]
+    )
+    nearest = np.where(np.isfinite(distances), distances, np.inf).min(axis=0)
+    return np.where(np.isfinite(nearest), nearest, np.nan)
+
+
+def _finish(grey: ndarray, board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
+    """Orient, refine at full resolution and check a lattice of the board's size."""
+    rivals = [other for other in _boards(level.lattices) if other is not lattice and not _overlap(other, lattice)]
+    if len(rivals) > 1 or any(rival.size == lattice.size for rival in rivals):
+        return _several(board, [lattice, *rivals])
+    if continues_beyond(level.smooth, lattice, level.radius_px):
+        return _too_large(board, None)
+    grid = (_orient(lattice, board) + 0.5) / level.scale - 0.5
+    spacing = _spacing(grid).ravel()
+    coarse = grid.reshape(-1, 2)
+    points = refine_corners(grey, coarse, spacing)
+    points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
+    seen = np.isfinite(points[:, 0])
+    if seen.sum() >= max(4, MIN_SHARE_SEEN * board.n_points):
+        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = np.nan
+        seen = np.isfinite(points[:, 0])
+    if seen.sum() < max(4, MIN_SHARE_SEEN * board.n_points):
+        return not_found(
+            board.n_points, f"the corners do not lie on a smooth grid ({seen.sum()} of {board.n_points} do); too blurred or covered?"
+        )
+    notes = []
+    if not seen.all():
+        notes.append(f"{seen.sum()} of {board.n_points} corners seen")
+    if rivals:
+        notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the picture")
+    return FoundBoard(points, corner_covariance(grey, points, spacing, estimate_noise_dn(grey)), note="; ".join(notes))
+
+
+def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:
+    """The lattice's corners as the board's rows and columns, without mirroring."""
+    choices = []
+    grid, is_dark_first = lattice.points_px, lattice.is_dark_first
+    for _ in range(4):
+        if grid.shape[:2] == (board.rows, board.columns):
+            way = np.nanmean(grid[:, -1] - grid[:, 0], axis=0)
+            choices.append((is_dark_first, float(way.sum() / np.linalg.norm(way)), grid))
+        is_dark_first ^= bool((grid.shape[1] - 1) % 2)  # the next first corner is the present row's last
+        grid = np.rot90(grid)
+    return max(choices, key=lambda choice: choice[:2])[2]
+
+
+def _several(board: Board, rivals: list[Lattice]) -> FoundBoard:
+    sizes = ", ".join(f"{columns}x{rows}" for columns, rows in (rival.size for rival in rivals[:6]))
+    more = ", ..." if len(rivals) > 6 else ""
+    return not_found(
+        board.n_points,
+        f"more than one board in the picture ({len(rivals)}: {sizes}{more}); show one at a time, or cover or crop the others",
+    )
+
+
+def _too_large(board: Board, size: tuple[int, int] | None) -> FoundBoard:
+    spec = f"{board.columns}x{board.rows}"
+    if size is None:
+        return not_found(board.n_points, f"the printed board continues beyond {spec} corners; count its inner corners again")
+    return not_found(
+        board.n_points,
+        f"the printed board continues beyond {spec} corners; the SPEC is probably chessboard:{size[0]}x{size[1]}",
+        size_seen=size,
+    )

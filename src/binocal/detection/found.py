@@ -1,0 +1,52 @@
+"""What detection says about one picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundBoard:
+    """The board's points in one picture, in the board's own order.
+
+    ``points_px`` is NaN where a point was not seen, all NaN where the board was not found; ``reason`` then says why, and is empty
+    otherwise. ``covariance_px2`` is each point's estimated covariance (isotropic for now), NaN where it was not seen. ``note``
+    tells what a careful reader should know of a found board. ``size_seen`` is the size of the grid that was seen instead of the
+    board's (columns and rows, the larger first), for hints.
+    """
+
+    points_px: Float[ndarray, "n 2"]
+    covariance_px2: Float[ndarray, "n 2 2"]
+    reason: str = ""
+    note: str = ""
+    size_seen: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("points_px", "covariance_px2"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if self.points_px.ndim != 2 or self.covariance_px2.shape != (*self.points_px.shape, 2):
+            raise ValueError(f"points (n, 2) need covariances (n, 2, 2); got {self.points_px.shape}, {self.covariance_px2.shape}")
+
+    @property
+    def is_seen(self) -> Bool[ndarray, "n"]:
+        """Which points were seen."""
+        return np.isfinite(self.points_px[:, 0])
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the board was found."""
+        return not self.reason
+
+
+def not_found(n_points: int, reason: str, *, size_seen: tuple[int, int] | None = None) -> FoundBoard:
+    """A board that was not found, and why."""
+    return FoundBoard(np.full((n_points, 2), np.nan), np.full((n_points, 2, 2), np.nan), reason, size_seen=size_seen)

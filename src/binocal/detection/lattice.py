@@ -1,0 +1,324 @@
+"""Lattices of X-corners: neighbours are linked along their edges, links grow into grids with integer coordinates.
+
+Nothing here knows the board: every chessboard pattern in the picture comes out with its own number of columns and rows, which
+is what tells a wrong SPEC, a second board or a half-hidden one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.detection.xcorners import XCorners, _wrap, read_rings, sample
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Int
+
+_STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # in the turning sense of the rays: x towards y
+MAX_TURN_RAD = np.radians(25)  # between an edge at a corner and the way to the neighbour; fisheye edges bend up to 15
+N_NEIGHBOURS = 14
+# A row of true corners has an edge between any two of them. Along the board's outer border only every second square differs
+# from the margin, and chance corners of the clutter have no edges at all: 0.7 parts them.
+MIN_BORDER_SHARE = 0.7
+# Perspective and fisheye lenses change the step from one row to the next by up to 0.2; margins narrower than a square by more.
+MAX_STEP_BREAK = 0.28
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """A grid of corners: ``points_px[row, column]``, NaN where none was seen; columns x rows turns as x towards y in the picture.
+
+    ``is_dark_first`` tells that the square beyond corner (0, 0), outwards, is dark.
+    """
+
+    points_px: Float[ndarray, "rows columns 2"]
+    is_dark_first: bool
+    contrast_dn: float
+    """Bright minus dark at a typical corner, of 255."""
+
+    @property
+    def n_seen(self) -> int:
+        """Number of corners seen."""
+        return int(np.isfinite(self.points_px[..., 0]).sum())
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows, the larger first."""
+        rows, columns = self.points_px.shape[:2]
+        return max(rows, columns), min(rows, columns)
+
+
+def find_lattices(smooth: Float32[ndarray, "h w"], corners: XCorners, radius_px: float, *, least: int = 9,
+                  size: tuple[int, int] | None = None) -> list[Lattice]:
+    """The lattices of at least ``least`` corners, the largest first.
+
+    With a ``size`` (corners along the longer and the shorter side) weak border rows are looked for until it is reached.
+    """
+    if len(corners) < least:
+        return []
+    neighbour, back_ray = _link(smooth, corners)
+    lattices = []
+    for members, cells, turns in _grow(neighbour, back_ray):
+        if len(members) < least:
+            continue
+        low = cells.min(axis=0)
+        columns, rows = cells.max(axis=0) - low + 1
+        if min(columns, rows) < 2 or columns * rows > 4 * len(members) + 16:
+            continue
+        grid = np.full((rows, columns, 3), np.nan)
+        grid[cells[:, 1] - low[1], cells[:, 0] - low[0], :2] = corners.points_px[members]
+        grid[cells[:, 1] - low[1], cells[:, 0] - low[0], 2] = corners.contrast_dn[members]
+        # Ray 0 has its bright sector after it: with turn 0 the sector between steps +x and +y is bright, so is the one opposite.
+        column, row = cells[0] - low
+        is_bright_first = (turns[0] % 2 == 0) ^ bool((column + row) % 2)
+        grid = _fill(smooth, grid, is_bright_first, radius_px)
+        grid, is_bright_first = _trim(smooth, grid, is_bright_first)
+        if size is not None and 2 * len(members) > size[0] * size[1]:
+            grid, is_bright_first = _extend(smooth, grid, is_bright_first, radius_px, size)
+        lattices.append(Lattice(grid[..., :2], not is_bright_first, float(np.nanmedian(grid[..., 2]))))
+    return sorted((lattice for lattice in lattices if lattice.n_seen >= least), key=lambda lattice: -lattice.n_seen)
+
+
+def _link(smooth: ndarray, corners: XCorners) -> tuple[Int[ndarray, "n 4"], Int[ndarray, "n 4"]]:
+    """For each corner and ray the neighbour along it (-1: none) and which of the neighbour's rays points back; mutual links only."""
+    points = corners.points_px.astype(float)
+    n = len(points)
+    k = min(N_NEIGHBOURS, n - 1)
+    distance2 = ((points[:, None] - points[None]) ** 2).sum(axis=-1)
+    np.fill_diagonal(distance2, np.inf)
+    near = np.argpartition(distance2, k - 1, axis=1)[:, :k]
+    near = np.take_along_axis(near, np.argsort(np.take_along_axis(distance2, near, 1), axis=1), 1)
+    way = points[near] - points[:, None]
+    heading = np.arctan2(way[..., 1], way[..., 0])
+    length = np.hypot(way[..., 0], way[..., 1])
+    turn = np.abs(_wrap(heading[:, :, None] - corners.rays_rad[:, None, :]))  # (n, k, 4)
+    turn_back = np.abs(_wrap(heading[:, :, None] + np.pi - corners.rays_rad[near]))
+    ray, back = turn.argmin(axis=2), turn_back.argmin(axis=2)
+    contrast = np.minimum(corners.contrast_dn[:, None], corners.contrast_dn[near])
+    is_link = (turn.min(axis=2) < MAX_TURN_RAD) & (turn_back.min(axis=2) < MAX_TURN_RAD)
+    is_link &= (ray % 2) != (back % 2)  # the bright side of an edge is the same seen from both ends
+    is_link &= contrast > 0.35 * np.maximum(corners.contrast_dn[:, None], corners.contrast_dn[near])
+    who, slot = np.nonzero(is_link)
+    sign = np.where(ray[who, slot] % 2 == 0, 1.0, -1.0)
+    is_edge = _follow_edge(smooth, points[who], way[who, slot], length[who, slot], sign, contrast[who, slot])
+    who, slot = who[is_edge], slot[is_edge]
+    neighbour = np.full((n, 4), -1)
+    back_ray = np.full((n, 4), -1)
+    for i in range(len(who) - 1, -1, -1):  # slots rise with distance: the nearest is written last
+        neighbour[who[i], ray[who[i], slot[i]]] = near[who[i], slot[i]]
+        back_ray[who[i], ray[who[i], slot[i]]] = back[who[i], slot[i]]
+    has = neighbour >= 0
+    is_mutual = np.zeros_like(has)
+    is_mutual[has] = neighbour[neighbour[has], back_ray[has]] == np.nonzero(has)[0]
+    neighbour[~is_mutual] = -1
+    return neighbour, back_ray
+
+
+def _follow_edge(smooth: ndarray, start: ndarray, way: ndarray, length: ndarray, sign: ndarray, contrast: ndarray) -> ndarray:
+    """Where one side of the way is brighter than the other all along it, by at least 0.3 of the corners' contrast."""
+    along = start[:, None] + way[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1)[:, None] * np.clip(0.22, 1.5 / np.maximum(length, 1), 0.4)[:, None, None]
+    step = sample(smooth, along + normal) - sample(smooth, along - normal)
+    return (sign[:, None] * step > 0.3 * contrast[:, None]).all(axis=1)
+
+
+def _grow(neighbour: ndarray, back_ray: ndarray) -> list[tuple[ndarray, ndarray, ndarray]]:
+    """Connected corners with integer cells (column, row) and the turn of their rays; a corner whose links disagree is left out."""
+    links, backs = neighbour.tolist(), back_ray.tolist()
+    degree = (neighbour >= 0).sum(axis=1)
+    seen = [False] * len(links)
+    groups = []
+    for seed in np.argsort(-degree, kind="stable").tolist():
+        if seen[seed] or degree[seed] < 2:
+            continue
+        seen[seed] = True
+        cell_of, turn_of, taken = {seed: (0, 0)}, {seed: 0}, {(0, 0)}
+        queue = deque([seed])
+        while queue:
+            corner = queue.popleft()
+            x, y = cell_of[corner]
+            for ray in range(4):
+                other = links[corner][ray]
+                if other < 0 or seen[other]:
+                    continue
+                step = (ray + turn_of[corner]) % 4
+                cell = (x + int(_STEPS[step, 0]), y + int(_STEPS[step, 1]))
+                if cell in taken:
+                    continue
+                seen[other] = True
+                taken.add(cell)
+                cell_of[other], turn_of[other] = cell, (step + 2 - backs[corner][ray]) % 4
+                queue.append(other)
+        members = np.array(list(cell_of))
+        groups.append((members, np.array([cell_of[m] for m in cell_of]), np.array([turn_of[m] for m in cell_of])))
+    return groups
+
+
+def _fill(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float) -> ndarray:
+    """The grid with holes found where it predicts them, with half the contrast, and edges to most of their neighbours."""
+    for _ in range(3):
+        predicted, spacing = predict_missing(grid[..., :2])
+        rows, columns = np.nonzero(np.isfinite(predicted[..., 0]))
+        if len(rows) == 0:
+            break
+        trial = grid.copy()
+        trial[rows, columns] = _search(smooth, predicted[rows, columns], spacing[rows, columns], radius_px)
+        along_row, along_column = _see_edges(smooth, trial, is_bright_first)
+        is_found = np.isfinite(trial[..., 0]) & ~np.isfinite(grid[..., 0])
+        is_found &= _count_neighbours(along_row, along_column, 1) > _count_neighbours(along_row, along_column, -1)
+        if not is_found.any():
+            break
+        grid = np.where(is_found[..., None], trial, grid)
+    return grid
+
+
+def _extend(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float, size: tuple[int, int]) -> tuple[ndarray, bool]:
+    """The grid with weak border rows and columns added, as long as it stays within ``size`` (larger number first)."""
+    while True:
+        best_share, best = 0.0, None
+        for side in range(4):  # top, bottom, left, right
+            columns, rows = grid.shape[1] + (side >= 2), grid.shape[0] + (side < 2)
+            if max(columns, rows) > size[0] or min(columns, rows) > size[1]:
+                continue
+            pad = [(0, 0), (0, 0), (0, 0)]
+            pad[side // 2] = (1, 0) if side % 2 == 0 else (0, 1)
+            trial = np.pad(grid, pad, constant_values=np.nan)
+            is_bright = is_bright_first ^ (side % 2 == 0)
+            trial = _fill(smooth, trial, is_bright, radius_px)
+            share = _border_shares(smooth, trial, is_bright)[side]
+            if share > best_share:
+                best_share, best = share, (trial, is_bright)
+        if best is None or best_share < MIN_BORDER_SHARE:
+            return grid, is_bright_first
+        grid, is_bright_first = best
+
+
+def _see_edges(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> tuple[Int[ndarray, "r c-1"], Int[ndarray, "r-1 c"]]:
+    """Edges between neighbours along rows and along columns: 1 seen, -1 not seen, 0 an end is missing."""
+    rows, columns = grid.shape[:2]
+    parity = np.where((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0) == is_bright_first, 1.0, -1.0)
+    edges = []
+    for start, end, turn in ((grid[:, :-1], grid[:, 1:], 1.0), (grid[:-1], grid[1:], -1.0)):
+        sign = turn * parity[: start.shape[0], : start.shape[1]]
+        is_whole = np.isfinite(start[..., 0]) & np.isfinite(end[..., 0])
+        a, b = start[is_whole], end[is_whole]
+        way = b[:, :2] - a[:, :2]
+        is_seen = _follow_edge(
+            smooth, a[:, :2], way, np.linalg.norm(way, axis=-1), sign[is_whole], np.minimum(a[:, 2], b[:, 2])
+        )
+        edge = np.zeros(is_whole.shape, int)
+        edge[is_whole] = np.where(is_seen, 1, -1)
+        edges.append(edge)
+    return edges[0], edges[1]
+
+
+def _count_neighbours(along_row: ndarray, along_column: ndarray, value: int) -> Int[ndarray, "r c"]:
+    """How many edges of ``value`` end at each corner."""
+    count = np.zeros((along_row.shape[0], along_column.shape[1]), int)
+    count[:, :-1] += along_row == value
+    count[:, 1:] += along_row == value
+    count[:-1] += along_column == value
+    count[1:] += along_column == value
+    return count
+
+
+def predict_missing(grid: Float[ndarray, "rows columns 2"]) -> tuple[Float[ndarray, "rows columns 2"], Float[ndarray, "rows columns"]]:
+    """Where a missing corner should be, by straight continuation of its row and column; NaN where present or unpredictable."""
+    rows, columns = grid.shape[:2]
+    padded = np.pad(grid, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
+    core = (slice(2, rows + 2), slice(2, columns + 2))
+
+    def shifted(dy: int, dx: int) -> ndarray:
+        return padded[2 + dy : rows + 2 + dy, 2 + dx : columns + 2 + dx]
+
+    guesses, steps = [], []
+    for dy, dx in ((0, 1), (1, 0)):
+        before, after = shifted(-dy, -dx), shifted(dy, dx)
+        guesses.append(0.5 * (before + after))
+        steps.append(np.linalg.norm(after - before, axis=-1) / 2)
+        for sign in (1, -1):
+            near, far = shifted(sign * dy, sign * dx), shifted(2 * sign * dy, 2 * sign * dx)
+            guesses.append(2 * near - far)
+            steps.append(np.linalg.norm(near - far, axis=-1))
+    guess, step = np.stack(guesses), np.stack(steps)
+    usable = np.isfinite(step)
+    count = usable.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(usable[..., None], guess, 0).sum(axis=0) / count[..., None]
+        spread = np.where(usable, np.linalg.norm(guess - mean, axis=-1), 0).max(axis=0)
+    spacing = np.where(usable, step, np.inf).min(axis=0)
+    is_open = ~np.isfinite(padded[core][..., 0]) & (count >= 2)
+    with np.errstate(invalid="ignore"):
+        is_open &= spread < 0.5 * spacing
+    return np.where(is_open[..., None], mean, np.nan), spacing
+
+
+def _search(smooth: ndarray, predicted: ndarray, spacing: ndarray, radius_px: float) -> Float[ndarray, "n 3"]:
+    """The best X-corner (x, y, contrast) within 0.25 spacings of each prediction, on a 5 x 5 pattern; NaN where there is none."""
+    offsets = np.stack(np.meshgrid(np.linspace(-0.24, 0.24, 5), np.linspace(-0.24, 0.24, 5)), axis=-1).reshape(-1, 2)
+    centres = (predicted[:, None] + offsets * spacing[:, None, None]).reshape(-1, 2)
+    height, width = smooth.shape
+    inside = (centres > radius_px).all(axis=1) & (centres < np.array([width, height]) - 1 - radius_px).all(axis=1)
+    is_corner, rays, contrast = read_rings(smooth, centres, radius_px, min_contrast_dn=3.0)
+    bend = np.abs(_wrap(rays[:, :2] + np.pi - rays[:, 2:])).sum(axis=1)
+    score = np.where(is_corner & inside, contrast * np.exp(-2 * bend), -1).reshape(len(predicted), -1)
+    best = score.argmax(axis=1)
+    index = np.arange(len(predicted))
+    found = np.concatenate([centres, contrast[:, None]], axis=1).reshape(len(predicted), -1, 3)[index, best].astype(float)
+    found[score[index, best] <= 0] = np.nan
+    return found
+
+
+def _trim(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> tuple[ndarray, bool]:
+    """The grid without border rows and columns that are not the board's."""
+    while min(grid.shape[:2]) > 2:
+        shares = _border_shares(smooth, grid, is_bright_first)
+        worst = int(np.argmin(shares))
+        if shares[worst] >= MIN_BORDER_SHARE:
+            break
+        grid = (grid[1:], grid[:-1], grid[:, 1:], grid[:, :-1])[worst]
+        is_bright_first ^= worst in (0, 2)
+    return grid, is_bright_first
+
+
+def _border_shares(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> list[float]:
+    """Share of edges seen along the top, bottom, left and right border row.
+
+    0 where half of the row's corners is missing, or where the step to it breaks with the step before it.
+    """
+    along_row, along_column = _see_edges(smooth, grid, is_bright_first)
+    shares = []
+    for turned, edges in ((grid, along_row[0]), (grid[::-1], along_row[-1]), (grid.transpose(1, 0, 2), along_column[:, 0]),
+                          (grid.transpose(1, 0, 2)[::-1], along_column[:, -1])):
+        share = np.count_nonzero(edges > 0) / len(edges)
+        if np.isfinite(turned[0, :, 0]).mean() < 0.5 or _step_break(turned[..., :2]) > MAX_STEP_BREAK:
+            share = 0.0
+        shares.append(share)
+    return shares
+
+
+def _step_break(grid: ndarray) -> float:
+    """How far the first row is from the straight continuation of the next two, in steps (median); 0 where it cannot be told."""
+    if len(grid) < 3:
+        return 0.0
+    step = grid[1] - grid[2]
+    off = np.linalg.norm(grid[0] - grid[1] - step, axis=-1) / np.maximum(np.linalg.norm(step, axis=-1), 1e-9)
+    return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
+
+
+def continues_beyond(smooth: Float32[ndarray, "h w"], lattice: Lattice, radius_px: float) -> bool:
+    """Whether weak corners go on beyond one of the lattice's borders, so that the printed board is larger than the lattice."""
+    contrast = np.where(np.isfinite(lattice.points_px[..., :1]), lattice.contrast_dn, np.nan)
+    grid = np.concatenate([lattice.points_px, contrast], axis=-1)
+    for side in range(4):
+        pad = [(0, 0), (0, 0), (0, 0)]
+        pad[side // 2] = (1, 0) if side % 2 == 0 else (0, 1)
+        is_bright = (not lattice.is_dark_first) ^ (side % 2 == 0)
+        trial = _fill(smooth, np.pad(grid, pad, constant_values=np.nan), is_bright, radius_px)
+        if _border_shares(smooth, trial, is_bright)[side] >= 0.85:
+            return True
+    return False
