@@ -15,7 +15,7 @@ HEAD = """# Command line
 Written by `docs/make_cli_reference.py`; change the verbs in `src/binocal/cli/verbs.py` instead of this page.
 
 Results go to stdout, everything else (what was ignored or dropped and why, progress) to stderr. With `--json`,
-stdout holds exactly one JSON document, on errors too: `{"error": {"code": ..., "message": ...}}`. Nothing is overwritten
+stdout holds exactly one document, on errors too: `{"error": {"code": ..., "message": ...}}`. Nothing is overwritten
 without `--force`; a file is there in full or not at all.
 
 | exit code | meaning |

@@ -219,16 +219,12 @@ def bench(
 ) -> int:
     """Measure binocal against the peers that are installed on this machine."""
     from binocal.benchmark import run
-    from binocal.cli import tables
-    from binocal.cli.progress import progress_on_terminal
-    from binocal.formats.native import jsonable
 
     try:
-        with progress_on_terminal() as progress:
-            rows = run(name, seed=seed, progress=progress)
+        table = run(name, seed=seed)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    _present({"benchmark": name, "seed": seed, "rows": jsonable(rows)}, tables.rows_text(rows), json)
+    _present({key: value for key, value in table.items() if key != "text"}, table["text"], json)
     return FINE
 
 
