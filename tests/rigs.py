@@ -9,7 +9,7 @@ from binocal import boards
 from binocal.cameras import Camera, StereoRig
 from binocal.detections import Detections
 from binocal.geometry import SE3, so3
-from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 
 DISTORTION = {
     "brown4": [-0.12, 0.05, 4e-4, -3e-4],
@@ -58,7 +58,7 @@ def make_calibration(rig: StereoRig | None = None) -> StereoCalibration:
         covariance=Covariance(names, np.diag([0.25, 1e-8, float("nan")])),
         rms=ResidualSummary(0.1, 0.2, 0.15),
         noise_px=0.08,
-        views=(ViewResult("01", 0.1, 0.1, float("nan"), 88, 2, "turned by 180 deg"),),
+        views=(ViewResult("01", 0.1, 0.1, float("nan"), 88, (OutlierCorner("left", 4, 7.5),), "turned by 180 deg"),),
         rejected=(RejectedView("02", "no board found in the left picture"),),
         warnings=("left and right look exchanged",),
         n_iterations=7,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     )
     from binocal.formats.native import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
-    from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+    from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 
 # Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
 _HOMES = {
@@ -54,7 +54,14 @@ _HOMES = {
     ),
     "binocal.formats.native": ("read_calibration", "read_rig", "write_calibration"),
     "binocal.geometry": ("SE3",),
-    "binocal.result": ("Covariance", "RejectedView", "ResidualSummary", "StereoCalibration", "ViewResult"),
+    "binocal.result": (
+        "Covariance",
+        "OutlierCorner",
+        "RejectedView",
+        "ResidualSummary",
+        "StereoCalibration",
+        "ViewResult",
+    ),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -73,6 +80,7 @@ __all__ = [
     "InconsistentViewsError",
     "MissingExtraError",
     "NotConvergedError",
+    "OutlierCorner",
     "OutputExistsError",
     "RejectedView",
     "ResidualSummary",

@@ -135,10 +135,10 @@ def calibrate_pictures(
             model=options.model,
             skew=options.skew,
             seed=options.seed,
-            progress=_stage("calibrating", progress),
+            progress=progress,
         )
     solved = time.perf_counter()
-    provenance = dict(calibration.provenance) | {
+    provenance = {
         "binocal": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
@@ -149,7 +149,7 @@ def calibrate_pictures(
         "seed": options.seed,
         "options": {"model": options.model, "skew": options.skew, "preprocess": options.preprocess},
         "input_sha256": found.input_sha256,
-    }
+    } | dict(calibration.provenance)
     calibration = replace(calibration, rejected=found.rejected + calibration.rejected, provenance=provenance)
     elapsed_s = {"pictures": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
     return CalibrationRun(calibration, found.ignored, found.notes, elapsed_s)

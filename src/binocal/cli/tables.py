@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -110,15 +109,6 @@ def demo_text(cases: Sequence[DemoCase], output: Path) -> str:
             "",
         ]
     return "\n".join([*lines, f"Wrote pictures, truth.json and rig.json of both boards into {output}"])
-
-
-def rows_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A table of records that share their keys."""
-    if not rows:
-        return "nothing was measured"
-    header = tuple(rows[0])
-    cells = [tuple(_cell(row.get(key)) for key in header) for row in rows]
-    return format_table(header, cells, align="l" + "r" * (len(header) - 1))
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align: str = "") -> str:
@@ -239,9 +229,3 @@ def _comparison_lines(evaluation: TruthEvaluation) -> list[str]:
         f"baseline error            {c.baseline_error_mm:+.4f} mm",
         f"parameter accuracy (20)   {c.parameter_accuracy_percent:.0f} % ({c.n_correct} of {len(c.parameters)})",
     ]
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else str(value)

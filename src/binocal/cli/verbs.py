@@ -33,6 +33,7 @@ class Model(enum.StrEnum):
     fisheye4 = "fisheye4"
 
 
+MODELS = "|".join(Model)
 BOARD_HELP = (
     "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
     "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, or a YAML file. "
@@ -43,7 +44,7 @@ Right = Annotated[str, typer.Option("--right", help="Right pictures, paired with
 BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
 Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout, on errors too.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.", min=0)]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.", metavar="N", min=0)]
 
 
 def _print_version(is_asked: bool) -> None:
@@ -63,9 +64,9 @@ def _common(
 
 @app.command()
 def demo(
-    output: Annotated[Path, typer.Option("--output", help="Folder for pictures, rig.json and truth.json.")] = Path(
-        "binocal-demo"
-    ),
+    output: Annotated[
+        Path, typer.Option("--output", help="Folder for pictures, rig.json and truth.json.", metavar="DIR")
+    ] = Path("binocal-demo"),
     seed: Seed = 0,
     force: Force = False,
     json: Json = False,
@@ -91,7 +92,9 @@ def calibrate(
         "rig.json"
     ),
     calibrator: Annotated[str, typer.Option("--calibrator", help="Method.", metavar="NAME")] = "lm",
-    model: Annotated[Model, typer.Option("--model", help="Camera model; auto picks by held-out error.")] = Model.auto,
+    model: Annotated[
+        Model, typer.Option("--model", help="Camera model; auto picks by held-out error.", metavar=MODELS)
+    ] = Model.auto,
     skew: Annotated[bool, typer.Option("--skew", help="Estimate the skew of both cameras.")] = False,
     preprocess: Annotated[
         bool, typer.Option("--preprocess", help="Filter the pictures and strengthen their edges first.")
@@ -210,22 +213,18 @@ def evaluate(
 
 @app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="Which benchmark, such as solver.")],
+    name: Annotated[str, typer.Argument(help="Which benchmark, such as solver.", metavar="NAME")],
     seed: Seed = 0,
     json: Json = False,
 ) -> int:
     """Measure binocal against the peers that are installed on this machine."""
     from binocal.benchmark import run
-    from binocal.cli import tables
-    from binocal.cli.progress import progress_on_terminal
-    from binocal.formats.native import jsonable
 
     try:
-        with progress_on_terminal() as progress:
-            rows = run(name, seed=seed, progress=progress)
+        table = run(name, seed=seed)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    _present({"benchmark": name, "seed": seed, "rows": jsonable(rows)}, tables.rows_text(rows), json)
+    _present({key: value for key, value in table.items() if key != "text"}, table["text"], json)
     return FINE
 
 

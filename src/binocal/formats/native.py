@@ -20,7 +20,7 @@ from binocal.cameras import CAMERA_MODELS, Camera, StereoRig
 from binocal.errors import FormatError
 from binocal.formats.files import write_aside
 from binocal.geometry import SE3
-from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 
 SCHEMA = "binocal/1"
 UNITS = {True: "m", False: "board pitch"}
@@ -85,6 +85,7 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
                     "right_rms_px": view.right_rms_px,
                     "n_corners": view.n_corners,
                     "n_outliers": view.n_outliers,
+                    "outliers": view.outliers,
                     "note": view.note,
                 }
                 for view in calibration.views
@@ -156,7 +157,10 @@ def read_calibration(path: str | Path) -> StereoCalibration:
                 left_rms_px=view.number("left_rms_px", allow_null=True),
                 right_rms_px=view.number("right_rms_px", allow_null=True),
                 n_corners=view.integer("n_corners"),
-                n_outliers=view.integer("n_outliers"),
+                outliers=tuple(
+                    OutlierCorner(corner.text("camera"), corner.integer("corner"), corner.number("distance_px"))
+                    for corner in view.mappings("outliers")
+                ),
                 note=view.text("note"),
             )
             for view in top.mappings("views")
