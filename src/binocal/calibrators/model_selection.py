@@ -16,7 +16,7 @@ from binocal.errors import CalibrationError, DataError
 from binocal.geometry import SE3
 from binocal.result import StereoCalibration
 from binocal.solvers.bundle import BundleEstimate
-from binocal.solvers.least_squares import minimize
+from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.poses import estimate_board_poses
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 N_FOLDS = 4
 MIN_VIEWS_FOR_CHOICE = 2 * MIN_VIEWS  # below that the training folds would be degenerate
+FOLD_OPTIONS = LoopOptions(tolerance_sigma=0.1)  # the models differ by far more than a tenth of a standard deviation
 RESIDUAL_CAP_SIGMA = 5.0  # a wild corner must not choose the model
 FALLBACK_MODEL = "brown4"
 
@@ -161,7 +162,7 @@ def _hold_out(
             full.rig.T_right_left.R,
             full.rig.T_right_left.t,
         )
-        minimum = minimize(joint_problem(views, options), start)
+        minimum = minimize(joint_problem(views, options), start, FOLD_OPTIONS)
         if not minimum.is_converged:
             continue
         rig = rig_of(minimum.estimate, views, options.model)

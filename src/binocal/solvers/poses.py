@@ -104,7 +104,7 @@ def _solve(problem: BundleProblem, rig: StereoRig, R: ndarray, t: ndarray, *, is
         np.broadcast_to(rig.T_right_left.t, (n_views, 3)),
     )
     if is_close:
-        return minimize(problem, start)
+        return minimize(problem, start, LoopOptions(tolerance_sigma=0.1))
     loose = minimize(problem, start, LoopOptions(kernel="cauchy", scale_factor=2.0, tolerance_sigma=0.1))
     return minimize(problem, loose.estimate, scale_px=loose.scale_px / 2)
 
