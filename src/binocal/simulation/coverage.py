@@ -7,6 +7,7 @@ coverage is 1 on the sheet, 0 off it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -84,19 +85,23 @@ class CellSheet:
         from scipy.special import ndtr
 
         scale_x, scale_y = np.hypot(at.x_u, at.x_v), np.hypot(at.y_u, at.y_v)
-        correlation = (at.x_u * at.y_u + at.x_v * at.y_v) / (scale_x * scale_y)
         x0, a = self._x.nearest_edge(at.x, spread_px * scale_x)
         y0, b = self._y.nearest_edge(at.y, spread_px * scale_y)
         s, t = ndtr(a), ndtr(b)
-        series = correlation * (1 + correlation / 2 * (a * b + correlation / 3 * (a * a - 1) * (b * b - 1)))
-        joint = series * np.exp(-0.5 * (a * a + b * b)) / (2 * np.pi)
-        place = y0 * self._stride + x0
-        w11, w10, w01 = s * t + joint, s * (1 - t) - joint, (1 - s) * t - joint
-        w00 = 1 - w11 - w10 - w01
-        reflectance, coverage = (
-            w00 * f[place] + w10 * f[place + 1] + w01 * f[place + self._stride] + w11 * f[place + self._stride + 1]
-            for f in (self._reflectance.ravel(), self._coverage.ravel())
+        w11 = s * t
+        is_crossing = a * a + b * b < 32  # elsewhere the joint term is below 2e-8
+        correlation = ((at.x_u * at.y_u + at.x_v * at.y_v) / (scale_x * scale_y)).astype(np.float32)
+        w11[is_crossing] += _joint_minus_product(
+            a[is_crossing], b[is_crossing], np.broadcast_to(correlation, a.shape)[is_crossing]
         )
+        weights = 1 - s - t + w11, s - w11, t - w11, w11
+        place = y0 * self._stride + x0
+        places = place, place + 1, place + self._stride, place + self._stride + 1
+        reflectance = _blend(self._reflectance, places, weights)
+        coverage = np.ones_like(reflectance)
+        is_rim = (x0 == 0) | (y0 == 0) | (x0 == self._stride - 2) | (y0 == len(self._coverage) - 2)
+        if is_rim.any():
+            coverage[is_rim] = _blend(self._coverage, [p[is_rim] for p in places], [w[is_rim] for w in weights])
         return reflectance, coverage
 
 
@@ -135,28 +140,53 @@ class DiscSheet:
         return paper * outside, coverage
 
 
+def _joint_minus_product(a: ndarray, b: ndarray, correlation: ndarray) -> ndarray:
+    """P(A < a, B < b) - P(A < a) P(B < b) of two standard normal variables."""
+    series = correlation * (1 + correlation / 2 * (a * b + correlation / 3 * (a * a - 1) * (b * b - 1)))
+    return series * np.exp(-0.5 * (a * a + b * b)) / np.float32(2 * np.pi)
+
+
+def _blend(values: ndarray, places: Sequence[ndarray], weights: Sequence[ndarray]) -> ndarray:
+    """Weighted sum of the table's values at flat places."""
+    flat = values.ravel()
+    out = weights[0] * flat[places[0]]
+    for weight, place in zip(weights[1:], places[1:], strict=True):
+        out += weight * flat[place]
+    return out
+
+
 class _Axis:
-    """Look-up of the interval between sorted edges: k edges bound intervals 0 (before the first) to k (after the last)."""
+    """The sorted edges of a sheet along one direction: the first and the last are the sheet's own."""
 
     def __init__(self, edges: Float[ndarray, "k"]) -> None:
-        self._edges = np.r_[edges, np.inf]
-        step = 0.999 * float(np.diff(edges).min())  # at most one edge inside a bin, so one comparison settles it
-        self._origin, self._per_step = edges[0] - step, 1 / step
-        n_bins = int(np.ceil((edges[-1] - self._origin) / step)) + 2
-        starts = self._origin + step * np.arange(n_bins)
-        self._first = np.searchsorted(edges, starts, side="right")
-        self._first[0] = 0
+        self._edges = edges
+        self._intervals = _SortedTable(edges)
+        self._midpoints = _SortedTable((edges[1:] + edges[:-1]) / 2)
 
     def index(self, x: ndarray) -> Int[ndarray, "..."]:
-        """Number of edges at or below x."""
-        bins = np.clip((x - self._origin) * self._per_step, 0, len(self._first) - 1).astype(np.intp)
-        first = self._first[bins]
-        return first + (x >= self._edges[first])
+        """Interval of x: 0 before the first edge, k after the last."""
+        return self._intervals.count_at_or_below(x)
 
     def nearest_edge(self, x: ndarray, scale: ndarray) -> tuple[Int[ndarray, "..."], Float[ndarray, "..."]]:
-        """Interval before the nearest edge, and the signed distance beyond that edge in units of ``scale``."""
-        index = self.index(x)
-        before = np.maximum(index - 1, 0)
-        after = np.minimum(index, len(self._edges) - 2)
-        edge = np.where(x - self._edges[before] <= self._edges[after] - x, before, after)
-        return edge, (x - self._edges[edge]) / scale
+        """Index of the nearest edge, and the signed distance beyond it in units of ``scale`` (float32)."""
+        edge = self._midpoints.count_at_or_below(x)
+        return edge, ((x - self._edges[edge]) / scale).astype(np.float32)
+
+
+class _SortedTable:
+    """``searchsorted`` by table, several times faster: equal bins, none wide enough to hold two values."""
+
+    def __init__(self, values: Float[ndarray, "k"]) -> None:
+        self._values = np.r_[values, np.inf]
+        step = 0.999 * float(np.diff(values).min()) if len(values) > 1 else 1.0
+        self._origin, self._per_step = float(values[0]) - step, 1 / step
+        n_bins = int(np.ceil((values[-1] - self._origin) / step)) + 2
+        self._first = np.searchsorted(values, self._origin + step * np.arange(n_bins), side="right")
+        self._first[0] = 0
+
+    def count_at_or_below(self, x: ndarray) -> Int[ndarray, "..."]:
+        """How many values are at or below x."""
+        bins = (x - self._origin) * self._per_step
+        bins = np.minimum(np.maximum(bins, 0), len(self._first) - 1).astype(np.intp)
+        first = self._first[bins]
+        return first + (x >= self._values[first])

@@ -215,17 +215,17 @@ def _sample_board(
         for a, b in ((at.x_u, at.x_v), (at.y_u, at.y_v))
     ]
     reflectance, coverage, is_constant = sheet.classify(at, *reach)
-    reflectance, coverage = np.where(is_off, np.float32(0), reflectance), np.where(is_off, np.float32(0), coverage)
+    coverage = np.where(is_off, np.float32(0), coverage)
+    light = np.float32(options.white_dn - options.black_dn) * reflectance * coverage + np.float32(options.black_dn) * coverage
     rows, columns = np.nonzero(~is_constant & ~is_off)
-    fine = np.repeat(np.repeat(reflectance, _FINE, axis=1), _FINE, axis=0)
-    fine_coverage = np.repeat(np.repeat(coverage, _FINE, axis=1), _FINE, axis=0)
     height, width = coverage.shape
-    points_reflectance, points_coverage = sheet.spread(_expand(x, y, rows, columns), _SPREAD_PX)
-    fine.reshape(height, _FINE, width, _FINE)[rows, :, columns] = points_reflectance
-    fine_coverage.reshape(height, _FINE, width, _FINE)[rows, :, columns] = points_coverage
-    coverage[rows, columns] = points_coverage.mean(axis=(1, 2))
-    fine *= np.float32(options.white_dn - options.black_dn)
-    fine += np.float32(options.black_dn) * fine_coverage
+    fine = cv2.resize(light, (width * _FINE, height * _FINE), interpolation=cv2.INTER_NEAREST)
+    for first in range(0, len(rows), 2048):  # blocks that stay in the processor's cache
+        some = np.s_[rows[first : first + 2048], columns[first : first + 2048]]
+        reflected, covered = sheet.spread(_expand(x, y, *some), _SPREAD_PX)
+        coverage[some] = covered.mean(axis=(1, 2))
+        reflected *= np.float32(options.white_dn - options.black_dn)
+        fine.reshape(height, _FINE, width, _FINE)[some[0], :, some[1]] = reflected + np.float32(options.black_dn) * covered
     if any(options.shading):
         x0, y0, x1, y1 = np.array(printed_extent_m(board)) / board.pitch_m
         slope = np.array(options.shading) / [x1 - x0, y1 - y0]
