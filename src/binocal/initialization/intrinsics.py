@@ -12,7 +12,7 @@ from binocal.cameras import camera_model
 from binocal.errors import TooFewViewsError
 from binocal.geometry.homography import HomographyFit, PlaneFrame, fit_homographies
 from binocal.initialization.distortion import Lifting, estimate_lifting, fit_brown, fit_kannala_brandt, fit_lifted
-from binocal.initialization.poses import BoardPoses, poses_from_rays, select_poses
+from binocal.initialization.poses import BoardPoses, poses_from_rays, select_poses, unproject_all
 from binocal.initialization.vanishing_points import VanishingEstimate, estimate_pinhole
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _ASPECT_TOLERANCE = 0.02  # beyond it the radial profile is found again on squared-up pixels
 _MAX_ROUNDS = 4
+_STRONG_G = 0.85  # a corner moved by 15 % of its distance from the centre
 MAX_VIEWS = 40  # evenly chosen, for everything but poses; the joint solver sees every view
 _CENTRE_PRIOR = 0.12  # half diagonals: principal points of real cameras, wide
 
@@ -125,6 +126,17 @@ def estimate_intrinsics(
         model, parameters, select_poses(poses, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
         weights[some],
     )  # fmt: skip
+    if np.min(np.where(weights > 0.05, g, 1.0)) < _STRONG_G:
+        # The model's own coefficients bend a strong lens otherwise than the profile did: poses once more, through the model
+        rays = unproject_all(model, parameters, np.where(is_seen[..., None], pixels, np.nan))
+        again = poses_from_rays(frame, rays, pixels, weights)
+        if again.is_usable[some].all():
+            refitted, rms_again = _refit_distortion(
+                model, parameters, select_poses(again, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
+                weights[some],
+            )  # fmt: skip
+            if rms_again < rms_px:
+                parameters, rms_px, poses = refitted, rms_again, again
     return InitialCamera(
         model, size_wh, parameters, poses, rms_px, fits, vanishing, columns, covariance, weights, lifting.unit_px,
         vanishing.notes,

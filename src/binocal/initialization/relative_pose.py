@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _MAX_PROPOSALS = 12
 _FLOOR_PX = 2.0  # a start's own inaccuracy: below it no view is blamed
 _RATIO = 6.0  # a view disagrees when it misses 6 times as far as the median agreeing view
+_OWN_RATIO = 2.0  # nor is one that its own camera's start already misses by half as much: the lens is to blame there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +32,7 @@ class Consensus:
 
     ``agrees`` marks the views that support it; ``symmetry`` is the index of the board symmetry each view needed (0 = none, -1 = the
     view lacks a camera); ``miss_px`` the RMS distance of both cameras' corners once the view's own board pose is refitted under
-    T_right_left, ``limit_px`` the bound on it that the agreeing views set; ``T_left_board`` those poses (NaN rows where unusable).
+    T_right_left, ``limit_px`` the bound on it that the agreeing views set (or twice what the view misses by without any rig); ``T_left_board`` those poses (NaN rows where unusable).
     """
 
     T_right_left: SE3
@@ -78,12 +79,13 @@ def estimate_relative_pose(
         agrees = least[winner] <= least[winner].min()
     T = SE3(proposals.R[winner], proposals.t[winner])
 
-    h_fit_R = _with_symmetry(right, both, S[symmetry])
+    own_px = np.sqrt((np.square(left.rms_px[both]) + np.square(right.rms_px[both])) / 2)
+    right_form = _with_symmetry(right, both, S[symmetry])
     for _ in range(2):
-        T, R_board, t_board, miss_px = _refine(T, L, left, h_fit_R, both, agrees, n_iterations)
+        T, R_board, t_board, miss_px = _refine(T, L, left, right_form, both, agrees, n_iterations)
         typical = float(np.median(miss_px[agrees]))
         limit_px = max(_FLOOR_PX, _RATIO * typical)
-        before, agrees = agrees, miss_px < limit_px
+        before, agrees = agrees, miss_px < np.maximum(limit_px, _OWN_RATIO * own_px)
         if not agrees.any():
             agrees = miss_px <= miss_px.min()
         if np.array_equal(agrees, before):
