@@ -14,6 +14,7 @@
     │   ├── DegenerateGeometryError
     │   ├── InconsistentViewsError
     │   └── NotConvergedError   (CLI exit code 1)
+    ├── CancelledError          the caller asked to stop                      (CLI exit code 130)
     └── MissingExtraError       an optional dependency is not installed   (CLI exit code 1)
 
 ``ValueError`` and ``TypeError`` mean that the caller's code is wrong (shape, dtype, option).
@@ -99,6 +100,10 @@ class InconsistentViewsError(CalibrationError):
 
 class NotConvergedError(CalibrationError):
     """The solver stopped without reaching a minimum."""
+
+
+class CancelledError(BinocalError):
+    """The caller's ``should_stop`` said so; nothing was returned or written."""
 
 
 class MissingExtraError(BinocalError):

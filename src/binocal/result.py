@@ -10,6 +10,8 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
+from binocal.detections import Detections
+from binocal.geometry import SE3
 from binocal.geometry import so3
 
 if TYPE_CHECKING:
@@ -108,6 +110,10 @@ class StereoCalibration:
     noise_px: float
     """Estimated standard deviation of one corner coordinate, pixels."""
     views: tuple[ViewResult, ...]
+    detections: Detections
+    """The views that were used, in the order of ``views``, corner orders repaired."""
+    T_left_board: SE3
+    """Pose of the board in each used view."""
     rejected: tuple[RejectedView, ...] = ()
     warnings: tuple[str, ...] = ()
     n_iterations: int = 0

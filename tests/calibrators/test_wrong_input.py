@@ -100,7 +100,7 @@ def test_one_bad_view_is_repaired_or_dropped_and_named(clean, case):
     detections, reference, bound = clean
     spoil, message = REPAIRED[case]
     calibration = calibrate(spoil(detections))
-    assert_right(calibration, reference, bound)
+    assert_right(calibration, reference, bound, factor=1.5)
     assert re.search(message, said(calibration)), said(calibration)
     assert len(calibration.views) >= VIEWS - 1
 
@@ -163,9 +163,9 @@ def test_nan_corners_are_corners_not_seen(clean):
         Detections.from_arrays(detections.object_points_m, left, detections.right_px, (1280, 960))
     )
     assert_right(calibration, reference, bound, factor=1.5)
-    left[3, 1, 0] = 4.0
-    with pytest.raises(DataError, match=r"left view 03, corner 1?"):
-        Detections.from_arrays(detections.object_points_m, left * [1, np.nan], detections.right_px, (1280, 960))
+    left[3, 5, 0] = 4.0
+    with pytest.raises(DataError, match=r"left view 03, corner 5: one coordinate is NaN"):
+        Detections.from_arrays(detections.object_points_m, left, detections.right_px, (1280, 960))
 
 
 def test_twenty_left_against_nineteen_right(clean):

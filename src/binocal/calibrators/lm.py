@@ -6,14 +6,13 @@ import numpy as np
 
 from binocal.calibrators import trust
 from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions
-from binocal.calibrators.summary import summarize
-from binocal.cameras import camera_model
+from binocal.calibrators.summary import joint_problem, summarize
 from binocal.detections import Detections
 from binocal.errors import TooFewViewsError
 from binocal.initialization.consistency import Diagnosis, diagnose_views
 from binocal.result import RejectedView, StereoCalibration
 from binocal.solvers import robust
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
+from binocal.solvers.bundle import BundleEstimate, BundleProblem
 from binocal.solvers.covariance import inliers
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
@@ -36,7 +35,7 @@ def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoC
         if len(used) < MIN_VIEWS:
             raise TooFewViewsError(len(used), MIN_VIEWS, {r.name: r.reason for r in rejected})
         views = diagnosis.detections.select(used)
-        problem = _problem(views, options)
+        problem = joint_problem(views, options)
         start = _start(diagnosis, used) if start is None else start
         minimum, n = _solve(problem, start)
         n_iterations += n
@@ -67,14 +66,6 @@ def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoC
         sum(v.n_corners for v in calibration.views),
     )
     return trust.with_warnings(calibration, minimum.estimate.R_left_board[:, :, 2])
-
-
-def _problem(views: Detections, options: CalibrationOptions) -> BundleProblem:
-    model = camera_model(options.model)
-    return BundleProblem(
-        np.ascontiguousarray(views.object_points_m.T),
-        tuple(CameraObservations.from_corners(model, px, skew=options.skew) for px in (views.left_px, views.right_px)),
-    )
 
 
 def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:

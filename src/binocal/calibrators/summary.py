@@ -1,4 +1,7 @@
-"""From a solver's minimum to the calibration that a user gets. Shared by every calibrator that ends in the joint problem."""
+"""From detections to the joint problem, and from its minimum to the calibration that a user gets.
+
+Shared by every calibrator that ends in the joint problem.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from numpy import ndarray
 
 from binocal import __version__
 from binocal.calibrators.base import CalibrationOptions
-from binocal.cameras import Camera, StereoRig
+from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.detections import Detections
 from binocal.geometry import SE3, so3
 from binocal.result import (
@@ -22,12 +25,21 @@ from binocal.result import (
     StereoCalibration,
     ViewResult,
 )
-from binocal.solvers.bundle import BundleEstimate, BundleProblem
+from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
 from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
 from binocal.solvers.least_squares import Minimum
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
+
+
+def joint_problem(views: Detections, options: CalibrationOptions) -> BundleProblem:
+    """The joint problem of these views."""
+    model = camera_model(options.model)
+    return BundleProblem(
+        np.ascontiguousarray(views.object_points_m.T),
+        tuple(CameraObservations.from_corners(model, px, skew=options.skew) for px in (views.left_px, views.right_px)),
+    )
 
 
 def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> StereoRig:
@@ -73,6 +85,8 @@ def summarize(
         rms=ResidualSummary(float(left_px), float(right_px), float(all_px)),
         noise_px=noise_px,
         views=views,
+        detections=detections,
+        T_left_board=SE3(so3.project_to_rotation(minimum.estimate.R_left_board), minimum.estimate.t_left_board),
         rejected=rejected,
         warnings=(*warnings, *_outlier_warning(views)),
         n_iterations=n_iterations,

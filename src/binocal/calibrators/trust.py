@@ -87,16 +87,6 @@ def check_observability(calibration: StereoCalibration, normals: Float[ndarray, 
     return tuple(warnings)
 
 
-def swap_warning(calibration: StereoCalibration) -> tuple[str, ...]:
-    """A sentence when left and right seem to be exchanged."""
-    if not calibration.rig.is_swapped:
-        return ()
-    return (
-        "left and right are exchanged: the camera given as right stands to the left of the other (T_x > 0). "
-        "The rig is calibrated as given; exchange --left and --right unless this is meant.",
-    )
-
-
 def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
     """RMS angle between the directions and their mean."""
     unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -119,6 +109,4 @@ def corner_spacing_px(detections: Detections) -> float:
 
 def with_warnings(calibration: StereoCalibration, normals: Float[ndarray, "views 3"]) -> StereoCalibration:
     """The calibration with every warning of this room put first; raises as the checks do."""
-    found = (*swap_warning(calibration), *check_observability(calibration, normals))
-    known = tuple(w for w in calibration.warnings if w not in found)
-    return replace(calibration, warnings=(*found, *known))
+    return replace(calibration, warnings=(*check_observability(calibration, normals), *calibration.warnings))

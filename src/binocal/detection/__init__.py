@@ -2,5 +2,7 @@
 
 from binocal.detection.detect import detect
 from binocal.detection.found import FoundBoard
+from binocal.detection.pairs import PairDetections, detect_pairs
+from binocal.detection.preprocessing import strengthen_edges
 
-__all__ = ["FoundBoard", "detect"]
+__all__ = ["FoundBoard", "PairDetections", "detect", "detect_pairs", "strengthen_edges"]

@@ -13,7 +13,7 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices
-from binocal.detection.refinement import corner_covariance, estimate_noise_dn, refine_corners
+from binocal.detection.refinement import corner_covariance, refine_corners
 from binocal.detection.regularity import find_irregular
 from binocal.detection.xcorners import find_x_corners
 
@@ -172,7 +172,7 @@ def _finish(grey: ndarray, board: Board, lattice: Lattice, level: _Level) -> Fou
         notes.append(f"{seen.sum()} of {board.n_points} corners seen")
     if rivals:
         notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the picture")
-    return FoundBoard(points, corner_covariance(grey, points, spacing, estimate_noise_dn(grey)), note="; ".join(notes))
+    return FoundBoard(points, corner_covariance(grey, points, spacing), note="; ".join(notes))
 
 
 def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:

@@ -9,7 +9,10 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.datasets.pictures import to_grey
+from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
+from binocal.detection.charuco import Layout, detect_charuco
 from binocal.detection.chessboard import detect_chessboard
+from binocal.detection.circles import detect_circles
 from binocal.detection.found import FoundBoard, not_found
 
 if TYPE_CHECKING:
@@ -28,15 +31,30 @@ def detect(image: ndarray, board: Board) -> FoundBoard:
     Raises:
         ValueError: The array is not a picture.
     """
+    return detect_in_layout(image, board, None)[0]
+
+
+def detect_in_layout(
+    image: ndarray, board: Board, layout: Layout | TagLayout | None
+) -> tuple[FoundBoard, Layout | TagLayout | None]:
+    """As :func:`detect`, for marker boards with the print's layout given (None: from the picture), and the one the picture proves.
+
+    Raises:
+        ValueError: The array is not a picture.
+    """
     grey = to_grey(image)
     if min(grey.shape) < MIN_SIDE_PX:
-        return not_found(board.n_points, f"the picture is only {grey.shape[1]}x{grey.shape[0]} pixels")
+        return not_found(board.n_points, f"the picture is only {grey.shape[1]}x{grey.shape[0]} pixels"), None
     stretched, problem = stretch(grey)
     if problem:
-        return not_found(board.n_points, problem)
+        return not_found(board.n_points, problem), None
     if board.kind == "chessboard":
-        return detect_chessboard(grey, stretched, board)
-    raise AssertionError(board.kind)
+        return detect_chessboard(grey, stretched, board), None
+    if board.kind == "charuco":
+        return detect_charuco(grey, stretched, board, layout if isinstance(layout, str) else "")
+    if board.kind == "aprilgrid":
+        return detect_aprilgrid(grey, stretched, board, layout if isinstance(layout, TagLayout) else None)
+    return detect_circles(grey, stretched, board), None
 
 
 def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:

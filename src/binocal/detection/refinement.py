@@ -59,16 +59,21 @@ def estimate_noise_dn(grey: ndarray) -> float:
 
 
 def corner_covariance(
-    grey: ndarray, points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"], noise_dn: float
+    grey: ndarray,
+    points_px: Float[ndarray, "n 2"],
+    spacing_px: Float[ndarray, "n"],
+    *,
+    per_spacing: float = WINDOW_PER_SPACING,
 ) -> Float[ndarray, "n 2 2"]:
     """Isotropic covariance of each refined corner, px^2, from the noise and the gradients in its window; NaN where it is NaN.
 
     The image-level bound noise^2 inverse(sum g g^T) is widened to what cornerSubPix reaches, with a floor for its bias.
     """
     covariance = np.full((len(points_px), 2, 2), np.nan)
+    noise_dn = estimate_noise_dn(grey)
     image = grey.astype(np.float32)
     for i in np.nonzero(np.isfinite(points_px[:, 0]) & np.isfinite(spacing_px))[0]:
-        half = int(np.clip(np.floor(WINDOW_PER_SPACING * spacing_px[i]), 2, LARGEST_HALF_WINDOW_PX))
+        half = int(np.clip(np.floor(per_spacing * spacing_px[i]), 2, LARGEST_HALF_WINDOW_PX))
         patch = cv2.getRectSubPix(image, (2 * half + 3, 2 * half + 3), (float(points_px[i, 0]), float(points_px[i, 1])))
         gx = 0.5 * (patch[1:-1, 2:] - patch[1:-1, :-2])
         gy = 0.5 * (patch[2:, 1:-1] - patch[:-2, 1:-1])

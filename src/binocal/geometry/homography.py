@@ -179,12 +179,14 @@ class HomographyFit:
     ``H`` takes board coordinates (x, y, 1) to pixels, NaN where ``status`` is not GOOD (0); TOO_FEW, COINCIDENT, COLLINEAR and
     UNFIT tell why. ``residuals_px`` are distances (NaN = not seen), ``weights`` in [0, 1] what the robust fit gave each corner
     (0 = not seen), ``sigma_px`` the robust standard deviation of one coordinate; lens distortion counts as noise here.
+    ``px_per_unit``: RMS radius of the seen corners in the picture over that on the board.
     """
 
     H: Float[ndarray, "views 3 3"]
     residuals_px: Float[ndarray, "views n"]
     weights: Float[ndarray, "views n"]
     sigma_px: Float[ndarray, "views"]
+    px_per_unit: Float[ndarray, "views"]
     status: ndarray
 
     @property
@@ -214,7 +216,7 @@ def fit_homographies(
     u, v = np.where(is_seen, pixels[..., 0], 0.0), np.where(is_seen, pixels[..., 1], 0.0)
     centre_u, centre_v = u.sum(axis=-1, keepdims=True) / count, v.sum(axis=-1, keepdims=True) / count
     u, v = (u - centre_u) * w, (v - centre_v) * w
-    status, spread = _classify(frame, u, v, w, n_seen)
+    status, spread, board_spread = _classify(frame, u, v, w, n_seen)
     usable = status == GOOD
     scale = np.where(usable, spread, 1.0)[:, None]
     u, v = u / scale, v / scale
@@ -255,14 +257,15 @@ def fit_homographies(
         np.where(is_seen & good[:, None], residuals * scale, np.nan),
         np.where(good[:, None], weights, 0.0),
         np.where(good, sigma * scale[:, 0], np.nan),
+        np.where(n_seen >= MIN_POINTS, spread / np.maximum(board_spread * frame.scale, 1e-300), np.nan),
         status,
     )
 
 
 def _classify(
     frame: PlaneFrame, u: ndarray, v: ndarray, w: ndarray, n_seen: ndarray
-) -> tuple[ndarray, Float[ndarray, "views"]]:
-    """Why a view cannot have a homography, and the RMS radius of its pixels."""
+) -> tuple[ndarray, Float[ndarray, "views"], Float[ndarray, "views"]]:
+    """Why a view cannot have a homography, and the RMS radius of its pixels and of its board points."""
     count = np.maximum(n_seen, 1)
     uu, uv, vv = (np.sum(a * b, axis=-1) / count for a, b in ((u, u), (u, v), (v, v)))
     spread = np.sqrt(uu + vv)
@@ -276,7 +279,7 @@ def _classify(
     status[is_flat(uu, uv, vv) | is_flat(xx, xy, yy)] = COLLINEAR
     status[spread < 1.0] = COINCIDENT  # a board two pixels wide measures nothing
     status[n_seen < MIN_POINTS] = TOO_FEW
-    return status, spread
+    return status, spread, np.sqrt(np.maximum(xx + yy, 0.0))
 
 
 def _sigma(residuals: ndarray, is_seen: ndarray, n_seen: ndarray) -> Float[ndarray, "*batch"]:

@@ -26,7 +26,7 @@ from binocal.geometry.homography import (
     fit_homographies,
 )
 from binocal.initialization.intrinsics import InitialCamera, estimate_intrinsics
-from binocal.initialization.poses import BoardPoses
+from binocal.initialization.poses import BoardPoses, select_poses
 from binocal.initialization.relative_pose import Consensus, estimate_relative_pose, transfer_px
 from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, transposed_order
 from binocal.initialization.vanishing_points import check_orientations
@@ -111,8 +111,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     size_warnings = [_check_size(camera, cameras[k], pixels[k]) for k, camera in enumerate(("left", "right"))]
     _require(int(np.sum(cameras[0].is_usable & cameras[1].is_usable)), detections, reasons)
 
-    symmetries = board_symmetries(points)
-    consensus = _find_consensus(cameras, symmetries, detections)
+    consensus, symmetries = _find_consensus(cameras, detections)
     notes = [""] * detections.n_views
     repaired = [px.copy() for px in pixels]
     weights = [camera.weights.copy() for camera in cameras]
@@ -196,23 +195,13 @@ def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: Homograp
     )
 
 
-def _spacing_px(points: ndarray, px: ndarray, fit: HomographyFit) -> Float[ndarray, "views"]:
+def _spacing_px(points: ndarray, fit: HomographyFit) -> Float[ndarray, "views"]:
     """Rough distance between neighbouring corners in each view, pixels."""
     xy = points[:, :2]
     sample = xy[:: max(1, len(xy) // 40)]
-    distance = np.hypot(*(sample[:, None] - xy[None]).transpose(2, 0, 1))
-    distance[distance < 1e-12] = np.inf
-    spacing = float(np.median(distance.min(axis=1)))
-    trusted = np.isfinite(px[..., 0])
-    w = trusted.astype(float)
-    total = np.maximum(w.sum(axis=1), 1)[:, None]
-
-    def radius(values: ndarray) -> ndarray:
-        mean = (values * w[..., None]).sum(axis=1) / total
-        return np.sqrt((np.square(values - mean[:, None]) * w[..., None]).sum(axis=(1, 2)) / total[:, 0])
-
-    with np.errstate(all="ignore"):
-        return spacing * radius(np.where(trusted[..., None], px, 0.0)) / radius(np.broadcast_to(xy, (*px.shape[:2], 2)))
+    distance2 = np.square(sample[:, None, 0] - xy[:, 0]) + np.square(sample[:, None, 1] - xy[:, 1])
+    distance2[distance2 < 1e-24] = np.inf
+    return float(np.median(np.sqrt(distance2.min(axis=1)))) * fit.px_per_unit
 
 
 def _check_grid(
@@ -221,14 +210,14 @@ def _check_grid(
     """Views whose corners are no picture of the board; refuses the set where nearly all are, and tries to say why."""
     n_seen = np.isfinite(px[..., 0]).sum(axis=1)
     with np.errstate(all="ignore"):
-        off_grid = (fit.status == UNFIT) | ((fit.status == GOOD) & (fit.sigma_px > _OFF_GRID * _spacing_px(points, px, fit)))
+        off_grid = (fit.status == UNFIT) | ((fit.status == GOOD) & (fit.sigma_px > _OFF_GRID * _spacing_px(points, fit)))
     examined = np.isin(fit.status, (GOOD, UNFIT))
     if off_grid.sum() > _MOST * max(examined.sum(), 1) and off_grid.sum() >= min(3, examined.sum()):
         order = transposed_order(points)
         if order is not None:
             other = fit_homographies(points[order], px)
             with np.errstate(all="ignore"):
-                fits_now = (other.status == GOOD) & (other.sigma_px < 0.5 * _OFF_GRID * _spacing_px(points, px, fit))
+                fits_now = (other.status == GOOD) & (other.sigma_px < 0.5 * _OFF_GRID * _spacing_px(points, fit))
             if fits_now.sum() > _MOST * examined.sum():
                 raise InconsistentViewsError(
                     f"columns and rows are exchanged in the {camera} corners ({int(fits_now.sum())} of {int(examined.sum())} "
@@ -319,14 +308,12 @@ def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits:
     both = fits[0].is_valid & fits[1].is_valid
     if both.sum() < MIN_VIEWS:
         return
-    far, radius = [], []
-    for px, size, fit in zip(pixels, sizes, fits, strict=True):
-        w = (fit.weights > 0.5)[..., None]
-        far.append(np.max(px, axis=(0, 1), where=w & np.isfinite(px), initial=0.0) / np.array(size))
-        inside = np.where(w[both], px[both], np.nan)
-        radius.append(np.sqrt(np.nansum(np.square(inside - np.nanmean(inside, axis=1, keepdims=True)), axis=(1, 2))
-                              / np.maximum(w[both, :, 0].sum(axis=1), 1)) / size[0])  # fmt: skip
-    ratio = float(np.median(radius[1] / radius[0]))
+    far = [
+        np.array([np.max(px[..., k], where=fit.weights > 0.5, initial=0.0) for k in range(2)]) / size
+        for px, size, fit in zip(pixels, sizes, fits, strict=True)
+    ]
+    scale = [fit.px_per_unit[both] / size[0] for fit, size in zip(fits, sizes, strict=True)]
+    ratio = float(np.median(scale[1] / scale[0]))
     for side, (name, other) in enumerate((("right", "left"), ("left", "right"))):
         k = 1 - side
         share = ratio if k == 1 else 1 / ratio
@@ -380,8 +367,10 @@ def _quality(consensus: Consensus | None) -> tuple[float, float]:
     return float(consensus.agrees.sum() / examined.sum()), float(np.median(consensus.miss_px[consensus.agrees]))
 
 
-def _find_consensus(cameras: list[InitialCamera], symmetries: BoardSymmetries, detections: Detections) -> Consensus:
-    """The rig on which most views agree, corner orders repaired if need be.
+def _find_consensus(
+    cameras: list[InitialCamera], detections: Detections
+) -> tuple[Consensus, BoardSymmetries | None]:
+    """The rig on which most views agree; and the board's symmetries where some views may need one, else None.
 
     Raises:
         InconsistentViewsError: There is none; the pairing is tested for being off by a few views first.
@@ -393,9 +382,10 @@ def _find_consensus(cameras: list[InitialCamera], symmetries: BoardSymmetries, d
     consensus = estimate_relative_pose(left, right)
     share, typical = _quality(consensus)
     if share == 1.0 and typical < trusted_px:
-        return consensus
+        return consensus, None
+    symmetries = board_symmetries(detections.object_points_m)
     if len(symmetries.names) > 1:
-        other = estimate_relative_pose(left, right, symmetries.motions)
+        other = estimate_relative_pose(left, right, symmetries.motions, max_proposals=32)
         other_share, other_typical = _quality(other)
         n_more = int(other.agrees.sum()) - int(consensus.agrees.sum())
         if (other_typical < 3 * max(typical, own) and n_more > 0) or other_typical < typical / 3:
@@ -423,7 +413,7 @@ def _find_consensus(cameras: list[InitialCamera], symmetries: BoardSymmetries, d
                 f"{max(0.02 * diagonal, trusted_px):.0f} px (the best misses by {typical:.0f} px): check that the pairs are simultaneous, "
                 "that the rig is rigid, and that both cameras number the same board alike."
             )
-    return consensus
+    return consensus, symmetries
 
 
 def _shifted(poses: BoardPoses, shift: int) -> BoardPoses:
@@ -431,11 +421,8 @@ def _shifted(poses: BoardPoses, shift: int) -> BoardPoses:
     n = len(poses.is_usable)
     index = np.arange(n) + shift
     inside = (index >= 0) & (index < n)
-    index = np.clip(index, 0, n - 1)
-    return replace(
-        poses, R=poses.R[index], t=poses.t[index], is_usable=poses.is_usable[index] & inside, rms_px=poses.rms_px[index],
-        fit=poses.fit[index], turn=poses.turn[index], n_corners=poses.n_corners[index],
-    )  # fmt: skip
+    moved = select_poses(poses, np.clip(index, 0, n - 1))
+    return replace(moved, is_usable=moved.is_usable & inside)
 
 
 def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], points: ndarray) -> str:
@@ -444,7 +431,7 @@ def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], poin
     xy = points[:, :2]
     columns, rows = (np.unique(np.round(xy[:, axis], 9)) for axis in range(2))
     steps = [float(np.median(np.diff(values))) if len(values) > 1 else 0.0 for values in (columns, rows)]
-    poses = [_only(camera.poses, view) for camera in cameras]
+    poses = [select_poses(camera.poses, np.array([view])) for camera in cameras]
     found: list[tuple[float, str, int]] = []
     for axis, name in ((0, "column"), (1, "row")):
         for count in (-2, -1, 1, 2):
@@ -462,14 +449,6 @@ def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], poin
         f"left and right do not show the same board pose (they miss each other by {miss:.0f} px, other views by "
         f"{float(np.median(consensus.miss_px[consensus.agrees])):.1f} px): the pair is mismatched or was not simultaneous"
     )
-
-
-def _only(poses: BoardPoses, view: int) -> BoardPoses:
-    k = slice(view, view + 1)
-    return replace(
-        poses, R=poses.R[k], t=poses.t[k], is_usable=poses.is_usable[k], rms_px=poses.rms_px[k], fit=poses.fit[k],
-        turn=poses.turn[k], n_corners=poses.n_corners[k],
-    )  # fmt: skip
 
 
 def _culprit(

@@ -64,45 +64,39 @@ def estimate_lifting(
     v = (v_px[chosen, points] - centre[1]) * (aspect / unit)
     w = weights[chosen, points]
     u, v = np.where(w > 0, u, 0.0), np.where(w > 0, v, 0.0)
+    w_flat = np.repeat(w[:, None] > 0, 2, axis=1).ravel()
 
     coarse = np.zeros((len(_CANDIDATES), 4))
     coarse[:, 0] = _CANDIDATES
     few = slice(None, None, 3)
-    cost = _cost(_residuals(coarse, frame, u[few], v[few], w[few]))
-    best = coarse[int(np.argmin(cost))]
+    best = coarse[int(np.argmin(_cost(_residuals(coarse, frame, u[few], v[few], w[few]))))]
     # Priors in units: l1, l2 of usual lenses; principal points lie within a few percent of the middle
     prior = 1 / np.array([2.0, 2.0, 0.06, 0.06]) ** 2
-    step_size = 1e-5
-    lam = 1e-4
-    residual = _residuals(best[None], frame, u, v, w)
-    current = _cost(residual)[0]
-    sigma2 = 1e-8
-    for _ in range(9):
-        shifted = _residuals(best[None] + step_size * np.eye(4), frame, u, v, w)
-        J = (shifted - residual[0]) / step_size
-        J, r = J.reshape(4, -1), residual.reshape(-1)
-        finite = np.isfinite(r) & np.all(np.isfinite(J), axis=0)
-        scale = 1.4826 * float(np.median(np.abs(r[finite & (r != 0)]))) if np.any(finite & (r != 0)) else 0.0
-        scale = max(scale, 1e-7)
-        kernel = np.where(finite, 1 / (1 + (r / (4 * scale)) ** 2) ** 2, 0.0)
-        J, r = np.where(finite, J, 0.0), np.where(finite, r, 0.0)
-        sigma2 = scale * scale
-        N = (J * kernel) @ J.T
-        gradient = (J * kernel) @ r + sigma2 * prior * best
-        step = -np.linalg.solve(N + sigma2 * np.diag(prior) + lam * np.diag(np.diag(N)), gradient)
-        candidate = best + np.clip(step, -0.3, 0.3)
-        new = _residuals(candidate[None], frame, u, v, w)
-        new_cost = _cost(new)[0]
-        if not new_cost < current * (1 + 1e-6):
+    offsets = 1e-5 * np.concatenate([np.zeros((1, 4)), np.eye(4)])  # a candidate and its four finite differences at once
+    lam, current, candidate = 1e-4, np.inf, best
+    for _ in range(10):
+        residuals = _residuals(candidate + offsets, frame, u, v, w)
+        cost = float(_cost(residuals[:1])[0])
+        if cost < current * (1 + 1e-6):
+            gain = current - cost
+            best, current, lam = candidate, cost, max(lam / 10, 1e-6)
+            r = residuals[0].ravel()
+            J = (residuals[1:].reshape(4, -1) - r) / offsets[1, 0]
+            scale = max(1.4826 * float(np.median(np.abs(r[w_flat]))), 1e-7)
+            sigma2 = scale * scale
+            kernel = J / np.square(1 + np.square(r / (4 * scale)))  # each row times its square-root-free weight
+            N = kernel @ J.T
+            gradient = kernel @ r + sigma2 * prior * best
+            if gain < 0.02 * current:
+                break
+        else:
             lam = max(lam * 30, 0.01)
             if lam > 300:
                 break
-            continue
-        gain = current - new_cost
-        best, residual, current = candidate, new, new_cost
-        lam = max(lam / 10, 1e-6)
-        if gain < 0.01 * current:
+        step = -np.linalg.solve(N + sigma2 * np.diag(prior) + lam * np.diag(np.diag(N)), gradient)
+        if np.max(np.abs(step)) < 1e-3:
             break
+        candidate = best + np.clip(step, -0.3, 0.3)
     sigma = np.sqrt(np.diag(np.linalg.inv(N / sigma2 + np.diag(1 / np.array([2.0, 2.0, 0.3, 0.3]) ** 2))))
     return Lifting(
         centre + unit * best[2:] / np.array([1, aspect]), unit, aspect, float(best[0]), float(best[1]), sigma[2:]
@@ -114,12 +108,12 @@ def _residuals(parameters: Float[ndarray, "k 4"], frame: PlaneFrame, u: ndarray,
     l1, l2, cx, cy = (parameters[:, i, None, None] for i in range(4))
     dx, dy = u - cx, v - cy
     r2 = dx * dx + dy * dy
-    _, du, dv, _, root, _ = _fit_rays(frame, dx, dy, 1 + r2 * (l1 + r2 * l2), w, parameters[:, 0])
+    _, du, dv, _, root, _ = _fit_rays(frame, dx, dy, 1 + r2 * (l1 + r2 * l2), w, parameters[:, 0], n_passes=1)
     return np.stack([du, dv], axis=-2) * (root * np.sqrt(w))[..., None, :]
 
 
 def _fit_rays(
-    frame: PlaneFrame, dx: ndarray, dy: ndarray, g: ndarray, w: ndarray, l1: Float[ndarray, "*k"]
+    frame: PlaneFrame, dx: ndarray, dy: ndarray, g: ndarray, w: ndarray, l1: Float[ndarray, "*k"], n_passes: int = 2
 ) -> tuple[PlaneFit, ndarray, ndarray, ndarray | None, ndarray, ndarray]:
     """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-picture scale, and the weights.
 
@@ -130,7 +124,7 @@ def _fit_rays(
         g = np.where(w > 0, g, 1.0)
         weights = w * g * g
         with np.errstate(all="ignore"):
-            fit, du, dv = fit_plane(frame, dx / g, dy / g, weights)
+            fit, du, dv = fit_plane(frame, dx / g, dy / g, weights, n_passes)
         return fit, du, dv, None, g, weights
     focal = 1 / np.sqrt(3 * np.maximum(-np.asarray(l1), 0.02))[..., None, None]
     rays = np.stack([dx, dy, focal * g], axis=-2)
@@ -147,7 +141,7 @@ def _fit_rays(
     root = np.broadcast_to((plane_spread(dx, dy, w) / plane_spread(a, b, w))[..., None], a.shape)
     weights = w * root * root
     with np.errstate(all="ignore"):
-        fit, du, dv = fit_plane(frame, a, b, weights)
+        fit, du, dv = fit_plane(frame, a, b, weights, n_passes)
     M = M.copy()
     M[..., 2] *= focal
     return fit, du, dv, M, root, weights

@@ -12,7 +12,7 @@ from binocal.cameras import camera_model
 from binocal.errors import TooFewViewsError
 from binocal.geometry.homography import HomographyFit, PlaneFrame, fit_homographies
 from binocal.initialization.distortion import Lifting, estimate_lifting, fit_brown, fit_kannala_brandt, fit_lifted
-from binocal.initialization.poses import BoardPoses, poses_from_rays
+from binocal.initialization.poses import BoardPoses, poses_from_rays, select_poses
 from binocal.initialization.vanishing_points import VanishingEstimate, estimate_pinhole
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _ASPECT_TOLERANCE = 0.02  # beyond it the radial profile is found again on squared-up pixels
 _MAX_ROUNDS = 4
+MAX_VIEWS = 40  # evenly chosen, for everything but poses; the joint solver sees every view
 _CENTRE_PRIOR = 0.12  # half diagonals: principal points of real cameras, wide
 
 
@@ -30,8 +31,8 @@ class InitialCamera:
     ``parameters``: fx, fy, cx, cy, skew, then the model's distortion. ``poses`` are ``T_camera_board`` by view (NaN where not usable),
     ``homographies`` what the views looked like before any of this, ``weights`` how far each corner is
     trusted, ``vanishing`` how well the views determine the pinhole
-    (coordinates: half diagonals around ``lifting.centre_px``; ``columns`` and ``covariance`` are its input by usable view).
-    ``rms_px`` is the RMS distance of the corners that the robust weights trust, pixels, under the full model.
+    (coordinates: half diagonals around ``lifting.centre_px``; ``columns`` and ``covariance`` are its input, at most 40 views).
+    ``rms_px`` is the RMS distance of the corners that the robust weights trust, pixels, under the full model, over at most 40 views.
     """
 
     model: str
@@ -41,8 +42,8 @@ class InitialCamera:
     rms_px: float
     homographies: HomographyFit
     vanishing: VanishingEstimate
-    columns: Float[ndarray, "usable 3 2"]
-    covariance: Float[ndarray, "usable 6 6"]
+    columns: Float[ndarray, "some 3 2"]
+    covariance: Float[ndarray, "some 6 6"]
     weights: Float[ndarray, "views n"]
     unit_px: float
     notes: tuple[str, ...] = ()
@@ -79,28 +80,34 @@ def estimate_intrinsics(
     u = np.where(is_seen, pixels[..., 0], 0.0)
     v = np.where(is_seen, pixels[..., 1], 0.0)
 
-    aspect = 1.0
+    some = np.flatnonzero(usable)
+    if len(some) > MAX_VIEWS:
+        some = some[np.linspace(0, len(some) - 1, MAX_VIEWS).round().astype(int)]
+    u_some, v_some, w_some, seen_some = u[some], v[some], weights[some], is_seen[some]
+    aspect, is_renewed = 1.0, False
     for _ in range(_MAX_ROUNDS):
-        lifting = estimate_lifting(frame, u[usable], v[usable], weights[usable], size_wh, aspect)
-        columns, covariance, distance = fit_lifted(lifting, frame, u[usable], v[usable], weights[usable])
-        sigma = _view_sigma(distance, weights[usable])
+        lifting = estimate_lifting(frame, u_some, v_some, w_some, size_wh, aspect)
+        columns, covariance, distance = fit_lifted(lifting, frame, u_some, v_some, w_some)
+        sigma = _view_sigma(distance, w_some)
         covariance = covariance * np.square(sigma / lifting.unit_px)[:, None, None]
         vanishing = estimate_pinhole(
             columns, covariance, sigma_centre=np.minimum(3 * lifting.sigma_centre + 0.005, _CENTRE_PRIOR),
             has_skew=has_skew,
             log_focal=None if focal_px is None else (np.log(focal_px[0] / lifting.unit_px), focal_px[1] / focal_px[0]),
-        )
+        )  # fmt: skip
         K = vanishing.K
         is_square = abs(K[0, 0] / K[1, 1] - 1) < _ASPECT_TOLERANCE
-        # What looked like outliers of a plain homography may have been honest distortion
-        renewed = np.zeros_like(weights)
-        with np.errstate(all="ignore"):
-            renewed[usable] = np.nan_to_num(1 / (1 + np.square(distance / (4 * sigma[:, None]))) ** 2) * is_seen[usable]
-        is_same = np.count_nonzero(renewed > 0.5) < np.count_nonzero(weights > 0.5) + 0.01 * np.count_nonzero(is_seen)
+        renewed = _renewed(distance, sigma, seen_some)
+        is_same = np.count_nonzero(renewed > 0.5) < np.count_nonzero(w_some > 0.5) + 0.01 * np.count_nonzero(seen_some)
         if is_square and is_same:
             break
         aspect = aspect if is_square else aspect * K[0, 0] / K[1, 1]
-        weights = weights if is_same else renewed
+        if not is_same:
+            w_some, is_renewed = renewed, True
+    if is_renewed:
+        _, _, distance = fit_lifted(lifting, frame, u[usable], v[usable], weights[usable])
+        weights = weights.copy()
+        weights[usable] = _renewed(distance, _view_sigma(distance, weights[usable]), is_seen[usable])
     lifting = replace(lifting, centre_px=lifting.centre_px + lifting.unit_px * K[:2, 2] / np.array([1, lifting.aspect]))
     fx, fy = K[0, 0] * lifting.unit_px, K[1, 1] * lifting.unit_px / lifting.aspect
 
@@ -113,11 +120,22 @@ def estimate_intrinsics(
     else:
         distortion = fit_brown(lifting, fx, r_max, camera_model(model).n_parameters - 5)
     parameters = np.r_[fx, fy, lifting.centre_px, K[0, 1] * lifting.unit_px / lifting.aspect, distortion]
-    parameters, rms_px = _refit_distortion(model, parameters, poses, np.asarray(object_points, dtype=float)[:, :2], u, v, weights)
+    some = some[poses.is_usable[some]]
+    parameters, rms_px = _refit_distortion(
+        model, parameters, select_poses(poses, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
+        weights[some],
+    )  # fmt: skip
     return InitialCamera(
         model, size_wh, parameters, poses, rms_px, fits, vanishing, columns, covariance, weights, lifting.unit_px,
         vanishing.notes,
     )
+
+
+def _renewed(distance: ndarray, sigma: Float[ndarray, "views"], is_seen: ndarray) -> Float[ndarray, "views n"]:
+    """Weights from the lifted fits: what looked like outliers of a plain homography may have been honest distortion."""
+    with np.errstate(all="ignore"):
+        weights = 1 / np.square(1 + np.square(distance / (4 * sigma[:, None])))
+    return np.where(is_seen & np.isfinite(weights), weights, 0.0)
 
 
 def _view_sigma(distance: Float[ndarray, "views n"], weights: Float[ndarray, "views n"]) -> Float[ndarray, "views"]:
@@ -136,11 +154,7 @@ def _refit_distortion(
 ) -> tuple[Float[ndarray, "p"], float]:
     """Radial coefficients refitted linearly to fixed poses, if better; and the weighted RMS distance in pixels."""
     functions = camera_model(model)
-    usable = poses.is_usable
-    R, t = poses.R[usable], poses.t[usable]
-    X, Y, Z = (R[:, i, :2] @ xy.T + t[:, i, None] for i in range(3))
-    if not usable.all():
-        u, v, weights = u[usable], v[usable], weights[usable]
+    X, Y, Z = (poses.R[:, i, :2] @ xy.T + poses.t[:, i, None] for i in range(3))
     if not functions.sees_behind:
         weights = np.where(Z > 0, weights, 0.0)
         Z = np.where(Z > 0, Z, 1.0)

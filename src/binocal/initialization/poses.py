@@ -18,7 +18,7 @@ from binocal.geometry import so3
 from binocal.geometry.homography import MIN_POINTS, PlaneFrame, fit_homographies, map_plane, plane_moments, plane_spread, solve_plane
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 _MIN_COSINE = 0.08  # a corner 85 deg from its own view's mean ray is left out
 
@@ -123,12 +123,28 @@ def poses_from_rays(
     fit[:, 6:, 6:] = moments[:, 3]
     poses = BoardPoses(R, t, is_usable, np.zeros(len(w)), fit, turn, np.maximum(n_corners, 1e-9), frame)
     poses = _refined(poses, R, t, n_iterations)
-    # Weak perspective: where the tilt is small or the board far, the closed form may fall into the wrong valley
-    other = _reversed_tilt(poses, n_iterations + 1)
-    swap = other.rms_px < poses.rms_px * (1 - 1e-9)
-    R = np.where(swap[:, None, None], other.R, poses.R)
-    t = np.where(swap[:, None], other.t, poses.t)
-    return replace(poses, R=R, t=t, rms_px=np.where(swap, other.rms_px, poses.rms_px))
+    # Weak perspective: where the tilt is small or the board far, the closed form may fall into the wrong valley. A pose that
+    # fits nearly as well as a homography (two parameters more) is in the right one.
+    h = (rows * (frame.scale / size)[:, None, None]).reshape(-1, 9)
+    free_rms = np.sqrt(np.maximum(np.sum(h * (fit @ h[..., None])[..., 0], axis=-1), 0.0) / poses.n_corners)
+    doubtful = np.flatnonzero(is_usable & (poses.rms_px > 1.3 * free_rms))
+    if not len(doubtful):
+        return poses
+    part = select_poses(poses, doubtful)
+    other = _reversed_tilt(part, n_iterations + 2)
+    swap = doubtful[other.rms_px < part.rms_px]
+    chosen = other.rms_px < part.rms_px
+    R, t, rms = poses.R.copy(), poses.t.copy(), poses.rms_px.copy()
+    R[swap], t[swap], rms[swap] = other.R[chosen], other.t[chosen], other.rms_px[chosen]
+    return replace(poses, R=R, t=t, rms_px=rms)
+
+
+def select_poses(poses: BoardPoses, views: Int[ndarray, "k"]) -> BoardPoses:
+    """The poses of some views."""
+    return replace(
+        poses, R=poses.R[views], t=poses.t[views], is_usable=poses.is_usable[views], rms_px=poses.rms_px[views],
+        fit=poses.fit[views], turn=poses.turn[views], n_corners=poses.n_corners[views],
+    )  # fmt: skip
 
 
 def _decompose(rows: Float[ndarray, "*batch 3 3"], scale: float) -> tuple[ndarray, ndarray, ndarray]:

@@ -20,7 +20,7 @@ from binocal.initialization.poses import BoardPoses, pose_jacobian, pose_vector
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-_MAX_PROPOSALS = 24
+_MAX_PROPOSALS = 12
 _FLOOR_PX = 2.0  # a start's own inaccuracy: below it no view is blamed
 _RATIO = 6.0  # a view disagrees when it misses 6 times as far as the median agreeing view
 
@@ -44,12 +44,13 @@ class Consensus:
 
 
 def estimate_relative_pose(
-    left: BoardPoses, right: BoardPoses, symmetries: SE3 | None = None, n_iterations: int = 3
+    left: BoardPoses, right: BoardPoses, symmetries: SE3 | None = None, *, max_proposals: int = _MAX_PROPOSALS,
+    n_iterations: int = 3,
 ) -> Consensus | None:
     """Consensus over the views that both cameras see, or None where no view has both.
 
     ``symmetries``: transforms of the board onto itself, the identity first; a view may use any of them on its right pose
-    (``T_right_board S``). Proposals come from at most 24 evenly chosen views.
+    (``T_right_board S``). Proposals come from at most ``max_proposals`` evenly chosen views.
     """
     both = np.flatnonzero(left.is_usable & right.is_usable)
     n_views = len(left.is_usable)
@@ -58,7 +59,7 @@ def estimate_relative_pose(
     S = SE3(np.eye(3)[None], np.zeros((1, 3))) if symmetries is None else symmetries
     L = SE3(left.R[both], left.t[both])
     R = SE3(right.R[both], right.t[both])
-    proposers = np.linspace(0, len(both) - 1, min(_MAX_PROPOSALS, len(both))).round().astype(int)
+    proposers = np.linspace(0, len(both) - 1, min(max_proposals, len(both))).round().astype(int)
     inverse = L[proposers].inverse()
     turned = SE3(R.R[proposers, None] @ S.R, (R.R[proposers, None] @ S.t[..., None])[..., 0] + R.t[proposers, None])
     proposals = SE3(
@@ -82,9 +83,11 @@ def estimate_relative_pose(
         T, R_board, t_board, miss_px = _refine(T, L, left, h_fit_R, both, agrees, n_iterations)
         typical = float(np.median(miss_px[agrees]))
         limit_px = max(_FLOOR_PX, _RATIO * typical)
-        agrees = miss_px < limit_px
+        before, agrees = agrees, miss_px < limit_px
         if not agrees.any():
             agrees = miss_px <= miss_px.min()
+        if np.array_equal(agrees, before):
+            break
     out_agrees, out_symmetry = np.zeros(n_views, dtype=bool), np.full(n_views, -1)
     out_miss, out_R, out_t = np.full(n_views, np.nan), np.full((n_views, 3, 3), np.nan), np.full((n_views, 3), np.nan)
     out_agrees[both], out_symmetry[both], out_miss[both] = agrees, symmetry, miss_px
@@ -198,11 +201,17 @@ def _refine(
         if np.sum(weight[:, 0, 0] * cost_new) > np.sum(weight[:, 0, 0] * cost) * (1 + 1e-9):
             damping = damping * 100 + 1e-4
             continue
+        settled = np.sum(weight[:, 0, 0] * (cost - cost_new)) < 0.01 * np.sum(weight[:, 0, 0] * cost_new)
         keep = agrees | (cost_new < cost)
         T_R, T_t = candidate[0], candidate[1]
         R_b = np.where(keep[:, None, None], candidate[2], R_b)
         t_b = np.where(keep[:, None], candidate[3], t_b)
-        h_L, h_R, cost = evaluate(T_R, T_t, R_b, t_b)
+        if keep.all():
+            h_L, h_R, cost = h_L_new, h_R_new, cost_new
+        else:
+            h_L, h_R, cost = evaluate(T_R, T_t, R_b, t_b)
+        if settled:
+            break
     return SE3(so3.project_to_rotation(T_R), T_t), R_b, t_b - R_b[..., :2] @ centre, np.sqrt(cost / n_corners / 2)
 
 

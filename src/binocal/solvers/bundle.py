@@ -81,10 +81,16 @@ class BundleEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleEquations:
-    """The problem linearised at an estimate: per-camera equations and the total robust cost (inf where the estimate is impossible)."""
+    """The problem linearised at an estimate: per-camera equations and the total robust cost (inf where the estimate is impossible).
+
+    The cost includes ``prior_energy``, half the squared standardised distance from the models' weak priors, times the squared ``scale_px``
+    that stands for the noise.
+    """
 
     cameras: tuple[ViewEquations, ...]
     cost_px2: Float[ndarray, "*batch"]
+    prior_energy: Float[ndarray, "*batch"]
+    scale_px: Float[ndarray, "*batch"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,9 +144,17 @@ def linearize(
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )
     cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
-    for parameters in estimate.parameters:
+    energy = np.zeros(cost.shape)
+    for camera, parameters in zip(problem.cameras, estimate.parameters, strict=True):
         cost = np.where(np.all(parameters[..., :2] > 0, axis=-1), cost, np.inf)
-    return BundleEquations(equations, cost)
+        energy = energy + 0.5 * (parameters**2 @ prior_precision(camera))
+    scale_px = np.broadcast_to(np.asarray(scale_px, dtype=float), cost.shape)
+    return BundleEquations(equations, cost + scale_px**2 * energy, energy, scale_px)
+
+
+def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:
+    """Precision of the weak prior on each parameter of a camera; 0 where there is none or the parameter is held."""
+    return np.where(camera.is_free, camera.model.prior_precision, 0.0)
 
 
 def assemble(
@@ -166,6 +180,12 @@ def assemble(
         total = e.gram.sum(axis=-3)
         H[..., place[:, None], place] += total[..., keep[:, None], keep]
         g[..., place] += total[..., keep, -1]
+        precision = prior_precision(camera)[free]
+        if precision.any():
+            own = place[: len(free)]
+            weight = equations.scale_px[..., None] ** 2 * precision
+            H[..., own, own] += weight
+            g[..., own] -= weight * estimate.parameters[index][..., free]
         H_pose, cross, g_pose = e.gram[..., pose, pose], e.gram[..., pose, :][..., keep], e.gram[..., pose, -1]
         if index == 1:
             Ad = adjoint(estimate.R_right_left, estimate.t_right_left)[..., None, :, :]
@@ -263,4 +283,23 @@ def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleE
         pick(new.t_left_board, old.t_left_board),
         pick(new.R_right_left, old.R_right_left),
         pick(new.t_right_left, old.t_right_left),
+    )
+
+
+def select_equations(
+    take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations
+) -> BundleEquations:
+    """Rig by rig, the new equations where ``take``, else the old ones."""
+    def pick(a: ndarray, b: ndarray) -> ndarray:
+        return np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
+
+    cameras = tuple(
+        type(a)(pick(a.gram, b.gram), pick(a.r2_px2, b.r2_px2), pick(a.cost_px2, b.cost_px2))
+        for a, b in zip(new.cameras, old.cameras, strict=True)
+    )
+    return BundleEquations(
+        cameras,
+        pick(new.cost_px2, old.cost_px2),
+        pick(new.prior_energy, old.prior_energy),
+        pick(new.scale_px, old.scale_px),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +13,7 @@ from binocal.cameras import StereoRig, camera_model
 from binocal.errors import DegenerateGeometryError
 from binocal.geometry import SE3, so3
 from binocal.result import Covariance
+from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
     BundleEstimate,
@@ -43,6 +46,7 @@ def shared_covariance(
 ) -> Float[ndarray, "s s"]:
     """Covariance of the shared parameters of one rig, all board poses free, translation stepped additively.
 
+    Weak priors of the models count as information, as they did in the estimate.
     The solver's left step moves the translation by tau + omega x t; the covariance is that of t itself.
 
     Raises:
@@ -69,14 +73,10 @@ def shared_covariance(
 def residual_noise_px(problem: BundleProblem, minimum: Minimum) -> float:
     """Noise of one corner coordinate from the weighted residuals of one rig, corrected for the fitted parameters."""
     weighted = sum(float(e.gram[..., -1, -1].sum()) for e in minimum.equations.cameras)
-    n_used, n_view_poses = 0, 0
-    any_used = np.zeros(problem.cameras[0].is_seen.shape[0], dtype=bool)
-    for camera, is_inlier in zip(problem.cameras, inliers(problem, minimum), strict=True):
-        n_used += int(is_inlier.sum())
-        any_used |= is_inlier.any(axis=-1)
-        del camera
-    n_view_poses = int(any_used.sum())
-    freedom = 2 * n_used - 6 * n_view_poses - problem.n_shared
+    used = inliers(problem, minimum)
+    n_used = sum(int(is_inlier.sum()) for is_inlier in used)
+    n_views = int(np.any([is_inlier.any(axis=-1) for is_inlier in used], axis=0).sum())
+    freedom = 2 * n_used - 6 * n_views - problem.n_shared
     if freedom <= 0:
         raise DegenerateGeometryError("fewer measurements than unknowns; add views or corners.")
     return float(np.sqrt(weighted / freedom))
@@ -84,8 +84,6 @@ def residual_noise_px(problem: BundleProblem, minimum: Minimum) -> float:
 
 def inliers(problem: BundleProblem, minimum: Minimum) -> tuple[Bool[ndarray, "views n"], ...]:
     """Which seen corners carry weight at the minimum."""
-    from binocal.solvers import robust
-
     return tuple(
         c.is_seen & (robust.weights(e.r2_px2, minimum.scale_px, minimum.kernel) > 0)
         for c, e in zip(problem.cameras, minimum.equations.cameras, strict=True)
@@ -112,7 +110,7 @@ def cramer_rao_bound(
     n_views, n = len(T_left_board.t), len(object_points_m)
     cameras = []
     for camera, is_seen in ((rig.left, left_is_seen), (rig.right, right_is_seen)):
-        model = camera_model(camera.model)
+        model = replace(camera_model(camera.model), prior_sigma=math.inf)
         seen = np.ones((n_views, n), dtype=bool) if is_seen is None else np.asarray(is_seen, dtype=bool)
         is_free = np.ones(model.n_parameters, dtype=bool)
         is_free[4] = skew

@@ -6,6 +6,7 @@ orthogonal factorisation of the Jacobian ends at the rounding of the projections
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,7 @@ MAX_CORNERS = 200_000  # the whole Jacobian is held at once: 100 MB
 def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
     """The minimum of one stereo rig, stepped on while the squared cost falls by half; unchanged unless its scale is at the floor.
 
-    Corners that the robust kernel gives no weight stay out.
+    Corners that the robust kernel gives no weight stay out; exact corners need no prior, so it is left out too.
     """
     n_corners = sum(c.is_seen.size for c in problem.cameras)
     if minimum.scale_px > 1.5 * robust.SCALE_FLOOR_PX or n_corners > MAX_CORNERS:
@@ -45,7 +46,11 @@ def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
         for c, e in zip(problem.cameras, minimum.equations.cameras, strict=True)
     ]
     clean = replace(
-        problem, cameras=tuple(replace(c, is_seen=seen) for c, seen in zip(problem.cameras, inlier, strict=True))
+        problem,
+        cameras=tuple(
+            replace(c, is_seen=seen, model=replace(c.model, prior_sigma=math.inf))
+            for c, seen in zip(problem.cameras, inlier, strict=True)
+        ),
     )
     one = np.asarray(1.0)
     estimate, cost = minimum.estimate, float(linearize(clean, minimum.estimate, one, "squared").cost_px2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,10 +10,16 @@ from numpy import ndarray
 
 from binocal.cameras import StereoRig, camera_model
 from binocal.detections import Detections
-from binocal.geometry import SE3
+from binocal.geometry import SE3, so3
 from binocal.initialization.poses import estimate_poses
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
-from binocal.solvers.least_squares import LoopOptions, minimize
+from binocal.solvers.bundle import (
+    BundleEstimate,
+    BundleProblem,
+    CameraObservations,
+    select_equations,
+    select_rigs,
+)
+from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -34,60 +40,81 @@ class BoardPoses:
     right_r2_px2: Float[ndarray, "views n"]
 
 
-def estimate_board_poses(rig: StereoRig, detections: Detections) -> BoardPoses:
+def estimate_board_poses(rig: StereoRig, detections: Detections, start: SE3 | None = None) -> BoardPoses:
     """Robust maximum-likelihood pose of the board in every view, intrinsics and rig held.
 
-    The start is the closed-form pose of whichever camera fits both pictures better.
+    ``start`` holds one ``T_left_board`` per view that is known to be close. Without it the closed-form poses of both cameras are tried,
+    and the one that fits both pictures better is kept.
     """
-    object_points = np.ascontiguousarray(detections.object_points_m.T)
-    T = rig.T_right_left
-    models = [camera_model(c.model) for c in (rig.left, rig.right)]
-    corners = (detections.left_px, detections.right_px)
+    if start is not None:
+        is_found = detections.left_is_seen.sum(axis=1) + detections.right_is_seen.sum(axis=1) >= MIN_CORNERS
+        candidates = [(start.R, start.t)]
+    else:
+        candidates, is_found = _closed_form_starts(rig, detections)
+    problem = _one_view_problems(rig, detections)
+    best: Minimum | None = None
+    for R, t in candidates:
+        found = _solve(problem, rig, R, t, is_close=start is not None)
+        best = found if best is None else _better(found, best)
+    r2 = [
+        np.where(camera.is_seen[:, 0] & is_found[:, None], e.r2_px2[:, 0], np.nan)
+        for camera, e in zip(problem.cameras, best.equations.cameras, strict=True)
+    ]
+    R = np.where(is_found[:, None, None], so3.project_to_rotation(best.estimate.R_left_board[:, 0]), np.eye(3))
+    t = np.where(is_found[:, None], best.estimate.t_left_board[:, 0], 0.0)
+    return BoardPoses(SE3(R, t), is_found, r2[0], r2[1])
+
+
+def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[tuple[ndarray, ndarray]], ndarray]:
+    """``T_left_board`` from the left and from the right pictures, each filled with the other's where it has none."""
     starts = []
-    for index, camera in enumerate((rig.left, rig.right)):
-        found = estimate_poses(camera.model, camera.parameters, detections.object_points_m, corners[index])
+    T = rig.T_right_left
+    for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px)):
+        found = estimate_poses(camera.model, camera.parameters, detections.object_points_m, px)
         R, t = found.R, found.t
-        if index == 1:
+        if camera is rig.right:
             R, t = T.R.T @ R, (t - T.t) @ T.R
         starts.append((R, t, found.is_usable))
-    cameras = tuple(
-        CameraObservations.from_corners(model, px, intrinsics=False) for model, px in zip(models, corners, strict=True)
-    )
-    n_views = detections.n_views
-    # every view is a rig of its own in a batch, so that each has its own robust scale and damping
-    batch = tuple(
-        CameraObservations(c.model, c.pixels[:, None], c.is_seen[:, None], c.is_free) for c in cameras
-    )
-    problem = BundleProblem(object_points, batch, is_rig_free=False)
+    (R_l, t_l, ok_l), (R_r, t_r, ok_r) = starts
+    neither = ~(ok_l | ok_r)
+    candidates = []
+    for R, t, ok, R_other, t_other in ((R_l, t_l, ok_l, R_r, t_r), (R_r, t_r, ok_r, R_l, t_l)):
+        R, t = np.where(ok[:, None, None], R, R_other), np.where(ok[:, None], t, t_other)
+        R[neither], t[neither] = np.eye(3), [0.0, 0.0, 1.0]
+        candidates.append((R, t))
+    return candidates, ~neither
 
-    def solve(R: ndarray, t: ndarray) -> tuple[BundleEstimate, ndarray, list[ndarray]]:
-        start = BundleEstimate(
-            tuple(np.broadcast_to(c.parameters, (n_views, len(c.parameters))) for c in (rig.left, rig.right)),
-            R[:, None],
-            t[:, None],
-            np.broadcast_to(T.R, (n_views, 3, 3)),
-            np.broadcast_to(T.t, (n_views, 3)),
-        )
-        loose = minimize(problem, start, LoopOptions(kernel="cauchy", scale_factor=2.0, tolerance_sigma=0.1))
-        final = minimize(problem, loose.estimate, LoopOptions(), scale_px=loose.scale_px / 2)
-        r2 = [e.r2_px2[:, 0] for e in final.equations.cameras]
-        return final.estimate, final.scale_px, r2
 
-    is_found = starts[0][2] | starts[1][2]
-    R0 = np.where(starts[0][2][:, None, None], starts[0][0], starts[1][0])
-    t0 = np.where(starts[0][2][:, None], starts[0][1], starts[1][1])
-    R1 = np.where(starts[1][2][:, None, None], starts[1][0], starts[0][0])
-    t1 = np.where(starts[1][2][:, None], starts[1][1], starts[0][1])
-    for R, t in ((R0, t0), (R1, t1)):
-        R[~is_found], t[~is_found] = np.eye(3), [0.0, 0.0, 1.0]
-    first, scale_first, r2_first = solve(R0, t0)
-    second, scale_second, r2_second = solve(R1, t1)
-    use_second = scale_second < scale_first
-    R = np.where(use_second[:, None, None], second.R_left_board[:, 0], first.R_left_board[:, 0])
-    t = np.where(use_second[:, None], second.t_left_board[:, 0], first.t_left_board[:, 0])
-    r2 = []
-    for camera, a, b in zip(cameras, r2_first, r2_second, strict=True):
-        chosen = np.where(use_second[:, None], b, a)
-        r2.append(np.where(camera.is_seen & is_found[:, None], chosen, np.nan))
-    R[~is_found], t[~is_found] = np.eye(3), 0.0
-    return BoardPoses(SE3(R, t), is_found, r2[0], r2[1])
+def _one_view_problems(rig: StereoRig, detections: Detections) -> BundleProblem:
+    """Every view as a rig of its own in a batch, so that each has its own robust scale and damping."""
+    cameras = []
+    for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px)):
+        observed = CameraObservations.from_corners(camera_model(camera.model), px, intrinsics=False)
+        cameras.append(replace(observed, pixels=observed.pixels[:, None], is_seen=observed.is_seen[:, None]))
+    return BundleProblem(np.ascontiguousarray(detections.object_points_m.T), tuple(cameras), is_rig_free=False)
+
+
+def _solve(problem: BundleProblem, rig: StereoRig, R: ndarray, t: ndarray, *, is_close: bool) -> Minimum:
+    n_views = len(t)
+    start = BundleEstimate(
+        tuple(np.broadcast_to(c.parameters, (n_views, len(c.parameters))) for c in (rig.left, rig.right)),
+        R[:, None],
+        t[:, None],
+        np.broadcast_to(rig.T_right_left.R, (n_views, 3, 3)),
+        np.broadcast_to(rig.T_right_left.t, (n_views, 3)),
+    )
+    if is_close:
+        return minimize(problem, start, LoopOptions(tolerance_sigma=0.1))
+    loose = minimize(problem, start, LoopOptions(kernel="cauchy", scale_factor=2.0, tolerance_sigma=0.1))
+    return minimize(problem, loose.estimate, scale_px=loose.scale_px / 2)
+
+
+def _better(a: Minimum, b: Minimum) -> Minimum:
+    """View by view, the minimum with the smaller scale."""
+    take = a.scale_px < b.scale_px
+    return replace(
+        a,
+        estimate=select_rigs(take, a.estimate, b.estimate),
+        equations=select_equations(take, a.equations, b.equations),
+        scale_px=np.where(take, a.scale_px, b.scale_px),
+    )

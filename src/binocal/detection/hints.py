@@ -1,0 +1,88 @@
+"""What the SPEC should perhaps have been, tried on a few pictures when the board was found in none."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+from numpy import ndarray
+
+from binocal.boards import Board
+from binocal.datasets.pictures import read_grey_picture
+from binocal.detection.chessboard import find_chessboard_size
+from binocal.detection.detect import detect, stretch
+from binocal.detection.found import FoundBoard
+from binocal.detection.markers import find_markers, to_8_bit
+from binocal.errors import FormatError
+
+MOST_TRIED = 3
+_FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11")
+
+
+def hint_from_sizes(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> tuple[str, int]:
+    """A hint from grids of another size that were seen instead of the board's, and in how many pictures the same one was."""
+    sizes = Counter(result.size_seen for _, result in found if result.size_seen is not None)
+    if not sizes:
+        return "", 0
+    size, count = sizes.most_common(1)[0]
+    example = next(path for path, result in found if result.size_seen == size)
+    text = f"found a {size[0]}x{size[1]} board in {example.name}: did you mean {board.kind}:{size[0]}x{size[1]}?"
+    return text, count
+
+
+def hint_by_trying(paths: Sequence[Path], board: Board) -> str:
+    """A hint from other boards tried on the first readable pictures; empty where none fits."""
+    pictures: list[tuple[Path, ndarray]] = []
+    for path in paths:
+        try:
+            pictures.append((path, read_grey_picture(path)))
+        except FormatError:
+            continue
+        if len(pictures) == MOST_TRIED:
+            break
+    for path, grey in pictures:
+        hint = _try_boards(path, grey, board) or _try_families(path, grey, board)
+        if hint:
+            return hint
+    return ""
+
+
+def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
+    """Columns and rows exchanged; and for plain boards the other plain kinds."""
+    trials = []
+    if board.columns != board.rows and board.kind in ("charuco", "aprilgrid", "acircles"):
+        trials.append(replace(board, columns=board.rows, rows=board.columns))
+    if board.kind in ("circles", "acircles"):
+        trials.append(replace(board, kind="acircles" if board.kind == "circles" else "circles"))
+    for trial in trials:
+        if detect(grey, trial).is_found:
+            return f"found a {trial.columns}x{trial.rows} {trial.kind} in {path.name}: did you mean {trial.kind}:{trial.columns}x{trial.rows}?"
+    if board.kind in ("circles", "acircles", "chessboard"):
+        stretched, problem = stretch(grey)
+        size = None if problem else find_chessboard_size(stretched)
+        if size is not None:
+            return f"found a {size[0]}x{size[1]} chessboard in {path.name}: did you mean chessboard:{size[0]}x{size[1]}?"
+    return ""
+
+
+def _try_families(path: Path, grey: ndarray, board: Board) -> str:
+    """Markers of other families than the board's."""
+    stretched, problem = stretch(grey)
+    if problem:
+        return ""
+    best: tuple[int, str] = (3, "")  # fewer than 4 markers are chance
+    for family in _FAMILIES:
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, family))
+        own = family.rsplit("_", 1)[0]
+        if board.dictionary.startswith(own) or (board.kind == "aprilgrid" and family.endswith("36h11")):
+            continue
+        ids, _ = find_markers(to_8_bit(stretched), dictionary)
+        if len(ids) > best[0]:
+            best = len(ids), family
+    if not best[1]:
+        return ""
+    name = best[1].removesuffix("_1000")
+    return f"{path.name} shows {best[0]} markers of the family {name}: is the board or its dictionary another one?"

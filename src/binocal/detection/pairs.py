@@ -1,0 +1,247 @@
+"""Pairs of pictures to detections: in threads, and with a reason for every picture that is not used."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy import ndarray
+
+from binocal.boards import Board
+from binocal.datasets.folder import Pairing, PicturePair
+from binocal.datasets.pictures import read_grey_picture
+from binocal.detection.detect import detect_in_layout
+from binocal.detection.found import FoundBoard
+from binocal.detection.hints import hint_by_trying, hint_from_sizes
+from binocal.detection.preprocessing import strengthen_edges
+from binocal.detections import Detections
+from binocal.errors import CancelledError, DataError, DetectionError, FormatError
+from binocal.result import RejectedView
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's pictures; with fewer it is not clear which size the camera has
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairDetections:
+    """The views in which at least one camera saw the board, the others with reasons, and sentences for the user.
+
+    Covariances are those of :class:`binocal.detection.found.FoundBoard`, view by view.
+    """
+
+    detections: Detections
+    rejected: tuple[RejectedView, ...]
+    notes: tuple[str, ...]
+    left_covariance_px2: Float[ndarray, "views n 2 2"]
+    right_covariance_px2: Float[ndarray, "views n 2 2"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """One picture: its size and what was found, or why it could not be read."""
+
+    path: Path
+    size_wh: tuple[int, int] | None = None
+    found: FoundBoard | None = None
+    layout: Any = None
+    problem: str = ""
+
+
+def detect_pairs(
+    pairs: Pairing | Sequence[PicturePair],
+    board: Board,
+    *,
+    preprocess: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+    n_threads: int | None = None,
+) -> PairDetections:
+    """The board in every picture of every pair.
+
+    A view that one camera saw is kept, with NaN for the other camera. An unreadable picture, or one of another size than the rest
+    of its camera's, rejects its view. ``progress`` is called with pictures done and pictures in all, ``should_stop`` is asked
+    after each picture; OpenCV's own threads are switched off meanwhile, because the pictures already fill ``n_threads`` (all cores).
+
+    Raises:
+        DetectionError: The board was found in no picture, or most pictures show a board of another size; with a hint if there is one.
+        DataError: There is no pair, no readable picture, or a camera's pictures have no common size.
+        CancelledError: ``should_stop`` returned True.
+    """
+    pairs = tuple(pairs.pairs if isinstance(pairs, Pairing) else pairs)
+    if not pairs:
+        raise DataError("there is no pair of pictures; left and right pictures are paired by the number in their names.")
+    paths = [path for pair in pairs for path in (pair.left_path, pair.right_path)]
+    seen = _detect_all(paths, board, preprocess, None, progress, should_stop, n_threads)
+    seen = _agree_on_layout(seen, board, preprocess, should_stop, n_threads)
+    sides = {"left": seen[0::2], "right": seen[1::2]}
+    if not any(picture.found for picture in seen):
+        problems = {picture.path.name: picture.problem for picture in seen}
+        raise DataError(f"none of the {len(seen)} pictures can be read; {next(iter(problems.values()))}")
+    _require_board(seen, pairs, board)
+    sizes = {side: _common_size(side, pictures) for side, pictures in sides.items()}
+    kept, rejected, notes = _sort_views(pairs, sides, sizes)
+    if not kept:
+        raise DetectionError(_one_line("no view is usable", rejected), {view.name: view.reason for view in rejected})
+    if sizes["left"] != sizes["right"]:
+        notes.append("left pictures are {}x{}, right ones {}x{}".format(*sizes["left"], *sizes["right"]))
+    points = {side: np.stack([_points(sides[side][i], board) for i in kept]) for side in _SIDES}
+    covariances = {side: np.stack([_covariance(sides[side][i], board) for i in kept]) for side in _SIDES}
+    detections = Detections(
+        board.object_points_m,
+        points["left"],
+        points["right"],
+        sizes["left"],
+        sizes["right"],
+        tuple(pairs[i].name for i in kept),
+        board.is_metric,
+    )
+    return PairDetections(detections, tuple(rejected), tuple(notes), covariances["left"], covariances["right"])
+
+
+def _detect_all(
+    paths: Sequence[Path],
+    board: Board,
+    preprocess: bool,
+    layout: Any,
+    progress: Callable[[int, int], None] | None,
+    should_stop: Callable[[], bool] | None,
+    n_threads: int | None,
+) -> list[_Seen]:
+    """Every picture, in the order given."""
+    results: list[_Seen | None] = [None] * len(paths)
+    own_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    pool = ThreadPoolExecutor(n_threads or os.cpu_count() or 1)
+    try:
+        waiting = {pool.submit(_detect_one, path, board, preprocess, layout): i for i, path in enumerate(paths)}
+        for done, future in enumerate(as_completed(waiting), start=1):
+            results[waiting[future]] = future.result()
+            if progress is not None:
+                progress(done, len(paths))
+            if should_stop is not None and should_stop():
+                raise CancelledError(f"stopped after {done} of {len(paths)} pictures")
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        cv2.setNumThreads(own_threads)
+    return [result for result in results if result is not None]
+
+
+def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _Seen:
+    try:
+        grey = read_grey_picture(path)
+    except FormatError as error:
+        return _Seen(path, problem=str(error.problem))
+    if preprocess:
+        grey = strengthen_edges(grey)
+    found, proved = detect_in_layout(grey, board, layout)
+    return _Seen(path, (grey.shape[1], grey.shape[0]), found, proved)
+
+
+def _agree_on_layout(
+    seen: list[_Seen], board: Board, preprocess: bool, should_stop: Callable[[], bool] | None, n_threads: int | None
+) -> list[_Seen]:
+    """Marker boards: the layout that most pictures prove holds for all; pictures that were read otherwise are read again."""
+    votes = Counter(picture.layout for picture in seen if picture.layout)
+    if not votes:
+        return seen
+    layout = votes.most_common(1)[0][0]
+    again = [i for i, picture in enumerate(seen) if picture.found is not None and picture.layout != layout]
+    renewed = _detect_all([seen[i].path for i in again], board, preprocess, layout, None, should_stop, n_threads)
+    seen = list(seen)
+    for i, picture in zip(again, renewed, strict=True):
+        seen[i] = picture
+    return seen
+
+
+def _require_board(seen: Sequence[_Seen], pairs: Sequence[PicturePair], board: Board) -> None:
+    """Raise where the board was found nowhere, or where more pictures show a grid of one other size than show the board's."""
+    looked = [(picture.path, picture.found) for picture in seen if picture.found is not None]
+    n_found = sum(found.is_found for _, found in looked)
+    hint, n_other = hint_from_sizes(looked, board)
+    if n_found and n_other <= n_found:
+        return
+    spec = f"{board.kind}:{board.columns}x{board.rows}"
+    reasons = {path.name: found.reason for path, found in looked if found.reason}
+    reasons |= {picture.path.name: picture.problem for picture in seen if picture.problem}
+    if n_found:
+        text = f"{spec} was found in {n_found} of {len(seen)} pictures, but {n_other} show a grid of another size"
+    else:
+        common, count = Counter(reasons.values()).most_common(1)[0]
+        share = f" ({count} of them)" if count < len(reasons) else ""
+        text = f"{spec} was found in none of {len(seen)} pictures ({len(pairs)} pairs): {common}{share}"
+        if not n_other:
+            hint = hint_by_trying([path for path, _ in looked], board)
+    raise DetectionError(f"{text}; {hint or 'check the board SPEC, the light and the focus.'}", reasons)
+
+
+def _common_size(side: str, pictures: Sequence[_Seen]) -> tuple[int, int]:
+    """The size of a camera's pictures."""
+    sizes = Counter(picture.size_wh for picture in pictures if picture.size_wh is not None)
+    if not sizes:
+        raise DataError(f"none of the {len(pictures)} {side} pictures can be read; {pictures[0].path.name} {pictures[0].problem}")
+    ranked = sizes.most_common()
+    size, count = ranked[0]
+    if size is None or count < MIN_SHARE_OF_ONE_SIZE * sum(sizes.values()):
+        text = " and ".join(f"{number} of {width}x{height}" for (width, height), number in ranked[:2])
+        raise DataError(
+            f"{side} pictures differ in size ({text} pixels); one camera's pictures have one size: give those of one mode only."
+        )
+    return size
+
+
+def _sort_views(
+    pairs: Sequence[PicturePair], sides: dict[str, list[_Seen]], sizes: dict[str, tuple[int, int]]
+) -> tuple[list[int], list[RejectedView], list[str]]:
+    """Indices of the views to keep, the rejected ones, and notes on the kept ones."""
+    kept, rejected, notes = [], [], []
+    for i, pair in enumerate(pairs):
+        unusable, unseen = [], []
+        for side in _SIDES:
+            picture = sides[side][i]
+            if picture.problem or picture.found is None:
+                unusable.append(f"{picture.path.name} {picture.problem}")
+            elif picture.size_wh != sizes[side]:
+                width, height = picture.size_wh or (0, 0)
+                unusable.append(
+                    f"{picture.path.name} is {width}x{height}, the other {side} pictures are {sizes[side][0]}x{sizes[side][1]}"
+                )
+            elif picture.found.reason:
+                unseen.append((side, f"{picture.path.name}: {picture.found.reason}"))
+        if unusable:
+            rejected.append(RejectedView(pair.name, "; ".join(unusable)))
+        elif len(unseen) == len(_SIDES):
+            rejected.append(RejectedView(pair.name, "; ".join(text for _, text in unseen)))
+        else:
+            kept.append(i)
+            for side, text in unseen:
+                other = _SIDES[side == "left"]
+                notes.append(f"view {pair.name} is used for the {other} camera only: {text}")
+            notes += [
+                f"{sides[side][i].path.name}: {found.note}"
+                for side in _SIDES
+                if (found := sides[side][i].found) is not None and found.note
+            ]
+    return kept, rejected, notes
+
+
+def _one_line(text: str, rejected: Sequence[RejectedView]) -> str:
+    first = rejected[0]
+    return f"{text}: {first.name}: {first.reason}" + (f" (and {len(rejected) - 1} more)" if len(rejected) > 1 else "")
+
+
+def _points(picture: _Seen, board: Board) -> ndarray:
+    return picture.found.points_px if picture.found is not None else np.full((board.n_points, 2), np.nan)
+
+
+def _covariance(picture: _Seen, board: Board) -> ndarray:
+    return picture.found.covariance_px2 if picture.found is not None else np.full((board.n_points, 2, 2), np.nan)
