@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from binocal.geometry import SE3
 from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 from rigs import make_detections, make_poses, make_rig
 
@@ -48,6 +49,12 @@ class RenderedPicture:
     corners_px: np.ndarray
 
 
+@dataclass(frozen=True)
+class BoardPoses:
+    T_left_board: SE3
+    is_found: np.ndarray
+
+
 class Rooms:
     """The fake rooms; a test changes a function to make its own weather."""
 
@@ -70,7 +77,7 @@ class Rooms:
             },
             "binocal.solvers": {},
             "binocal.solvers.covariance": {"cramer_rao_bound": self._bound},
-            "binocal.solvers.poses": {"estimate_board_poses": lambda rig, detections: self.poses},
+            "binocal.solvers.poses": {"estimate_board_poses": self._estimate_board_poses},
             "binocal.benchmark": {"run": self._bench},
         }
         for name, content in rooms.items():
@@ -110,6 +117,9 @@ class Rooms:
         return replace(
             self._calibrate(self.detections, calibrator="", model="", skew=skew, seed=0, progress=None)
         ).covariance
+
+    def _estimate_board_poses(self, rig, detections):
+        return BoardPoses(self.poses, np.isfinite(detections.left_px[..., 0]).sum(axis=1) >= 4)
 
     def _render_picture(self, camera, T_camera_board, board, options, rng):
         noise = rng.integers(0, 255, camera.size_wh[::-1], dtype=np.uint8)

@@ -122,6 +122,15 @@ def test_pictures_are_judged_without_truth(rooms):
     assert evaluation.row_error.rms_px < 1e-6 and evaluation.rejected == rooms.rejected
 
 
+def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(rooms):
+    left = rooms.detections.left_px.copy()
+    left[1] = np.nan
+    rooms.detections = replace(rooms.detections, left_px=left)
+    evaluation = app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
+    assert np.isnan(evaluation.pixel_error.view_rms_px).tolist() == [False, True] + 4 * [False]
+    assert evaluation.pixel_error.n_corners == 5 * 2 * 88 and evaluation.length_error.n_views == 5
+
+
 def test_a_suspect_view_is_named(rooms):
     right = rooms.detections.right_px + 0.02 * np.random.default_rng(0).standard_normal(rooms.detections.right_px.shape)
     right[2] += 3.0
