@@ -98,6 +98,14 @@ class RejectedView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a rig was computed from: the used views with repaired corner orders, and the board's pose in each of them."""
+
+    detections: Detections
+    T_left_board: SE3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StereoCalibration:
     """The result of every calibrator.
 
@@ -110,14 +118,12 @@ class StereoCalibration:
     noise_px: float
     """Estimated standard deviation of one corner coordinate, pixels."""
     views: tuple[ViewResult, ...]
-    detections: Detections
-    """The views that were used, in the order of ``views``, corner orders repaired."""
-    T_left_board: SE3
-    """Pose of the board in each used view."""
     rejected: tuple[RejectedView, ...] = ()
     warnings: tuple[str, ...] = ()
     n_iterations: int = 0
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    evidence: Evidence | None = None
+    """The corners that the rig was computed from; None when it was read from a file, which does not hold them."""
 
     @property
     def euler_sigma_rad(self) -> tuple[float, float, float]:
