@@ -126,9 +126,8 @@ def _aprilgrid_print(board: Board, border_bits: int) -> CellPrint:
     dictionary = _aruco_dictionary("DICT_APRILTAG_36h11")
     code = np.array([[(_TAG36H11_ID0 >> (6 * i + j)) & 1 for j in range(6)] for i in range(6)])
     first = 1 - _marker_ink(dictionary, 0, "DICT_APRILTAG_36h11")[1:-1, 1:-1]
-    turns = (
-        2 if np.array_equal(first, code) else 0
-    )  # OpenCV may one day turn its dictionary to the AprilTag project's side
+    # OpenCV holds the family upside down, but later versions may turn it
+    turns = 2 if np.array_equal(first, code) else 0
     assert turns or np.array_equal(first, np.rot90(code, 2)), "OpenCV's tag36h11 is neither upright nor upside down"
     n_cells, gap = 6 + 2 * border_bits, board.tag_gap_ratio
     block = n_cells + 1  # a gap, then the tag's cells

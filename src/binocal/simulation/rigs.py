@@ -9,7 +9,7 @@ from binocal.errors import SceneError
 from binocal.geometry import SE3, so3
 
 _SIZES_WH = ((640, 480), (752, 480), (1280, 720), (1280, 960), (1280, 1024))
-_MAX_TRIES = 200  # about one draw in three folds back inside the picture (brown8) and is drawn again
+_MAX_TRIES = 200  # a draw whose distortion folds back inside the picture is drawn again
 
 
 def table2_rig() -> StereoRig:
