@@ -76,7 +76,7 @@ class Board:
 
     @property
     def tag_ids(self) -> Int[ndarray, "tags"]:
-        """AprilGrid: ids of the tags in the order of the points (four points per tag), top row first; empty for other kinds.
+        """AprilGrid: ids of the tags in the order of the points, top row first; empty for other kinds.
 
         As Kalibr prints them: ids grow to the right and UPWARD from the bottom-left tag (its y axis points up).
         """
