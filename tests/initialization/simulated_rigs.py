@@ -64,8 +64,14 @@ def simulate(
     rotations, positions = [], []
     while len(rotations) < n_views:
         about, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(*tilt_deg))
-        R = so3.exp(tilt * np.array([np.cos(about), np.sin(about), 0])) @ so3.exp([0, 0, np.radians(rng.uniform(-20, 20))])
-        z = rng.uniform(*distance_m) if distance_m else parameters[0] * extent / (rng.uniform(0.35, 0.75) * np.hypot(*size_wh))
+        R = so3.exp(tilt * np.array([np.cos(about), np.sin(about), 0])) @ so3.exp(
+            [0, 0, np.radians(rng.uniform(-20, 20))]
+        )
+        z = (
+            rng.uniform(*distance_m)
+            if distance_m
+            else parameters[0] * extent / (rng.uniform(0.35, 0.75) * np.hypot(*size_wh))
+        )
         at = np.array([rng.uniform(0.15, 0.85) * width]), np.array([rng.uniform(0.15, 0.85) * height])
         X, Y, Z, is_valid = functions.unproject(parameters, *at)
         if not is_valid[0]:
@@ -102,7 +108,9 @@ def rotation_error_deg(R: np.ndarray, R_true: np.ndarray) -> np.ndarray:
     return np.degrees(so3.angle_rad(np.swapaxes(R, -1, -2) @ R_true))
 
 
-def with_outliers(px: np.ndarray, share: float, size_px: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def with_outliers(
+    px: np.ndarray, share: float, size_px: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     out = px.copy()
     chosen = rng.random(px.shape[:2]) < share
     out[chosen] += rng.uniform(-size_px, size_px, (int(chosen.sum()), 2))

@@ -98,7 +98,9 @@ def test_real_fisheye_pictures() -> None:
     views = []
     for path in sorted(folder.glob("left_*.png"))[:14]:
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        found, corners = cv2.findChessboardCorners(picture, (9, 6), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_FAST_CHECK)
+        found, corners = cv2.findChessboardCorners(
+            picture, (9, 6), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_FAST_CHECK
+        )
         if found:
             corners = cv2.cornerSubPix(picture, corners, (5, 5), (-1, -1), (3, 40, 1e-3))
             views.append(corners.reshape(-1, 2))

@@ -39,7 +39,9 @@ def test_far_boards_have_two_candidates_and_the_better_comes_first() -> None:
     assert np.median(best) < 6
     distinct = np.degrees(so3.angle_rad(np.swapaxes(first.R, -1, -2) @ second.R)) > 10
     assert distinct.sum() > 5  # where the second valley exists, it was found and differs
-    assert np.median(second.rms_px[distinct] / first.rms_px[distinct]) < 2  # and fits almost alike: that is the ambiguity
+    assert (
+        np.median(second.rms_px[distinct] / first.rms_px[distinct]) < 2
+    )  # and fits almost alike: that is the ambiguity
 
 
 def test_a_view_with_three_corners_has_no_pose() -> None:

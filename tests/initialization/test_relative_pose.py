@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simulated_rigs import TABLE2, Rig, rotation_error_deg, simulate
+from simulated_rigs import Rig, rotation_error_deg, simulate
 
 from binocal.geometry import SE3, so3
 from binocal.initialization.poses import BoardPoses, estimate_poses
