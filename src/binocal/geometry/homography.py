@@ -60,7 +60,10 @@ def monomials(x: Float[ndarray, "*n"], y: Float[ndarray, "*n"]) -> Float[ndarray
 
 
 def plane_moments(
-    basis: Float[ndarray, "n 6"], u: Float[ndarray, "*batch n"], v: Float[ndarray, "*batch n"], w: Float[ndarray, "*batch n"]
+    basis: Float[ndarray, "n 6"],
+    u: Float[ndarray, "*batch n"],
+    v: Float[ndarray, "*batch n"],
+    w: Float[ndarray, "*batch n"],
 ) -> Float[ndarray, "*batch 4 3 3"]:
     """Sums over the points of ``w X Xᵀ`` times 1, u, v and u² + v², with X = (x, y, 1). Weight 0 drops a point; u, v finite."""
     rows = np.empty((*w.shape[:-1], 4, w.shape[-1]))
@@ -158,7 +161,10 @@ def map_plane(
 
 
 def fit_plane(
-    frame: PlaneFrame, u: Float[ndarray, "*batch n"], v: Float[ndarray, "*batch n"], w: Float[ndarray, "*batch n"],
+    frame: PlaneFrame,
+    u: Float[ndarray, "*batch n"],
+    v: Float[ndarray, "*batch n"],
+    w: Float[ndarray, "*batch n"],
     n_passes: int = 2,
 ) -> tuple[PlaneFit, Float[ndarray, "*batch n"], Float[ndarray, "*batch n"]]:
     """Weighted least-squares fit in image coordinates of order one, and the residuals u, v; geometric from the second pass on."""
@@ -289,12 +295,19 @@ def _sigma(residuals: ndarray, is_seen: ndarray, n_seen: ndarray) -> Float[ndarr
         middle = np.partition(residuals, n // 2, axis=-1)[..., n // 2]
     else:
         ordered = np.sort(np.where(is_seen, residuals, np.inf), axis=-1)
-        middle = np.take_along_axis(ordered, np.broadcast_to((n_seen // 2)[..., None], (*ordered.shape[:-1], 1)), axis=-1)[..., 0]
+        middle = np.take_along_axis(
+            ordered, np.broadcast_to((n_seen // 2)[..., None], (*ordered.shape[:-1], 1)), axis=-1
+        )[..., 0]
     return middle * _MEDIAN_TO_SIGMA * np.sqrt(2 * n_seen / np.maximum(2 * n_seen - 8, 1))
 
 
 def _refit(
-    frame: PlaneFrame, u: ndarray, v: ndarray, w: ndarray, n_seen: ndarray, start: tuple[ndarray, ndarray, ndarray] | None
+    frame: PlaneFrame,
+    u: ndarray,
+    v: ndarray,
+    w: ndarray,
+    n_seen: ndarray,
+    start: tuple[ndarray, ndarray, ndarray] | None,
 ) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Rows, weights, residuals and sigma of suspect views, in normalised coordinates; without a start, from four-corner fits."""
     is_seen = w > 0

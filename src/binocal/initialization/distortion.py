@@ -24,7 +24,16 @@ if TYPE_CHECKING:
 MAX_VIEWS, MAX_POINTS = 12, 60  # evenly chosen; enough for a start, the joint solver sees everything
 _MIN_G = 0.3  # 75-80 deg from the axis: nearer to the horizon rays are turned before the plane is used
 _MIN_COSINE = 0.08  # a corner 85 deg from its own view's mean ray is left out
-_CANDIDATES = (0.0, -0.12, -0.3, -0.5, -0.8, -1.3, -2.2, 0.25)  # l1: none, barrel up to 240° fisheyes (diagonal), pincushion
+_CANDIDATES = (
+    0.0,
+    -0.12,
+    -0.3,
+    -0.5,
+    -0.8,
+    -1.3,
+    -2.2,
+    0.25,
+)  # l1: none, barrel up to 240° fisheyes (diagonal), pincushion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +59,12 @@ class Lifting:
 
 
 def estimate_lifting(
-    frame: PlaneFrame, u_px: Float[ndarray, "views n"], v_px: Float[ndarray, "views n"], weights: Float[ndarray, "views n"],
-    size_wh: tuple[int, int], aspect: float = 1.0,
+    frame: PlaneFrame,
+    u_px: Float[ndarray, "views n"],
+    v_px: Float[ndarray, "views n"],
+    weights: Float[ndarray, "views n"],
+    size_wh: tuple[int, int],
+    aspect: float = 1.0,
 ) -> Lifting:
     """Radial profile and its centre from at most 12 evenly chosen views; weight 0 marks unseen or outlying corners."""
     centre = np.array([(size_wh[0] - 1) / 2, (size_wh[1] - 1) / 2])
@@ -72,7 +85,9 @@ def estimate_lifting(
     best = coarse[int(np.argmin(_cost(_residuals(coarse, frame, u[few], v[few], w[few]))))]
     # Priors in units: l1, l2 of usual lenses; principal points lie within a few percent of the middle
     prior = 1 / np.array([2.0, 2.0, 0.06, 0.06]) ** 2
-    offsets = 1e-5 * np.concatenate([np.zeros((1, 4)), np.eye(4)])  # a candidate and its four finite differences at once
+    offsets = 1e-5 * np.concatenate(
+        [np.zeros((1, 4)), np.eye(4)]
+    )  # a candidate and its four finite differences at once
     lam, current, candidate = 1e-4, np.inf, best
     for _ in range(10):
         residuals = _residuals(candidate + offsets, frame, u, v, w)
@@ -170,9 +185,7 @@ def fit_lifted(
     return columns, covariance, np.hypot(du, dv) * root * lifting.unit_px
 
 
-def fit_brown(
-    lifting: Lifting, focal_px: float, r_max: float, n_coefficients: int
-) -> Float[ndarray, "d"]:
+def fit_brown(lifting: Lifting, focal_px: float, r_max: float, n_coefficients: int) -> Float[ndarray, "d"]:
     """Brown-Conrady coefficients (k1, k2, p1, p2, ...) that follow the profile up to radius ``r_max`` (units).
 
     k1, k2 for four coefficients, k3 too for more; the rational ones stay 0. Fewer where the polynomial would fold back in range.

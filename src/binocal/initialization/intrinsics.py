@@ -11,7 +11,7 @@ from numpy import ndarray
 from binocal.cameras import camera_model
 from binocal.errors import TooFewViewsError
 from binocal.geometry.homography import HomographyFit, PlaneFrame, fit_homographies
-from binocal.initialization.distortion import Lifting, estimate_lifting, fit_brown, fit_kannala_brandt, fit_lifted
+from binocal.initialization.distortion import estimate_lifting, fit_brown, fit_kannala_brandt, fit_lifted
 from binocal.initialization.poses import BoardPoses, poses_from_rays, select_poses, unproject_all
 from binocal.initialization.vanishing_points import VanishingEstimate, estimate_pinhole
 
@@ -56,8 +56,14 @@ class InitialCamera:
 
 
 def estimate_intrinsics(
-    object_points: Float[ndarray, "n d"], pixels: Float[ndarray, "views n 2"], size_wh: tuple[int, int], model: str,
-    *, has_skew: bool = False, homographies: HomographyFit | None = None, focal_px: tuple[float, float] | None = None,
+    object_points: Float[ndarray, "n d"],
+    pixels: Float[ndarray, "views n 2"],
+    size_wh: tuple[int, int],
+    model: str,
+    *,
+    has_skew: bool = False,
+    homographies: HomographyFit | None = None,
+    focal_px: tuple[float, float] | None = None,
 ) -> InitialCamera:
     """Camera and board poses from corners alone, no nominal focal length; NaN = not seen, object points in z = 0.
 
@@ -138,7 +144,17 @@ def estimate_intrinsics(
             if rms_again < rms_px:
                 parameters, rms_px, poses = refitted, rms_again, again
     return InitialCamera(
-        model, size_wh, parameters, poses, rms_px, fits, vanishing, columns, covariance, weights, lifting.unit_px,
+        model,
+        size_wh,
+        parameters,
+        poses,
+        rms_px,
+        fits,
+        vanishing,
+        columns,
+        covariance,
+        weights,
+        lifting.unit_px,
         vanishing.notes,
     )
 
@@ -162,7 +178,13 @@ def _view_sigma(distance: Float[ndarray, "views n"], weights: Float[ndarray, "vi
 
 
 def _refit_distortion(
-    model: str, parameters: ndarray, poses: BoardPoses, xy: Float[ndarray, "n 2"], u: ndarray, v: ndarray, weights: ndarray
+    model: str,
+    parameters: ndarray,
+    poses: BoardPoses,
+    xy: Float[ndarray, "n 2"],
+    u: ndarray,
+    v: ndarray,
+    weights: ndarray,
 ) -> tuple[Float[ndarray, "p"], float]:
     """Radial coefficients refitted linearly to fixed poses, if better; and the weighted RMS distance in pixels."""
     functions = camera_model(model)
@@ -194,7 +216,9 @@ def _refit_distortion(
     if not np.isfinite(before):
         return parameters, before
     A = np.stack([base ** powers[slot - 5] for slot in slots])
-    AA = (A * (weights * (np.square(fx * unit_x) + np.square(fy * unit_y)))).reshape(len(slots), -1) @ A.reshape(len(slots), -1).T
+    AA = (A * (weights * (np.square(fx * unit_x) + np.square(fy * unit_y)))).reshape(len(slots), -1) @ A.reshape(
+        len(slots), -1
+    ).T
     b = A.reshape(len(slots), -1) @ (weights * (fx * unit_x * e_u + fy * unit_y * e_v)).ravel()
     scale = 1 / np.sqrt(np.maximum(np.diag(AA), 1e-300))
     step = scale * np.linalg.lstsq(AA * scale * scale[:, None], b * scale, rcond=1e-8)[0]

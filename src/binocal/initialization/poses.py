@@ -15,7 +15,15 @@ from numpy import ndarray
 
 from binocal.cameras import camera_model
 from binocal.geometry import so3
-from binocal.geometry.homography import MIN_POINTS, PlaneFrame, fit_homographies, map_plane, plane_moments, plane_spread, solve_plane
+from binocal.geometry.homography import (
+    MIN_POINTS,
+    PlaneFrame,
+    fit_homographies,
+    map_plane,
+    plane_moments,
+    plane_spread,
+    solve_plane,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -43,7 +51,10 @@ class BoardPoses:
 
 
 def estimate_poses(
-    model: str, parameters: Float[ndarray, "p"], object_points: Float[ndarray, "n d"], pixels: Float[ndarray, "views n 2"],
+    model: str,
+    parameters: Float[ndarray, "p"],
+    object_points: Float[ndarray, "n d"],
+    pixels: Float[ndarray, "views n 2"],
     weights: Float[ndarray, "views n"] | None = None,
 ) -> BoardPoses:
     """Board poses of a calibrated camera; NaN pixels were not seen. The better of the two planar candidates.
@@ -59,7 +70,10 @@ def estimate_poses(
 
 
 def estimate_pose_candidates(
-    model: str, parameters: Float[ndarray, "p"], object_points: Float[ndarray, "n d"], pixels: Float[ndarray, "views n 2"],
+    model: str,
+    parameters: Float[ndarray, "p"],
+    object_points: Float[ndarray, "n d"],
+    pixels: Float[ndarray, "views n 2"],
     weights: Float[ndarray, "views n"] | None = None,
 ) -> tuple[BoardPoses, BoardPoses]:
     """Both planar candidates of every view, each refined, the better first: in far or weak views they fit almost alike.
@@ -80,14 +94,19 @@ def unproject_all(
     """Rays X, Y, Z of pixels; NaN where unseen or where the model has none."""
     is_seen = np.isfinite(pixels[..., 0])
     rays = np.full((3, *is_seen.shape), np.nan)
-    X, Y, Z, _ = camera_model(model).unproject(np.asarray(parameters, dtype=float), pixels[is_seen, 0], pixels[is_seen, 1])
+    X, Y, Z, _ = camera_model(model).unproject(
+        np.asarray(parameters, dtype=float), pixels[is_seen, 0], pixels[is_seen, 1]
+    )
     rays[:, is_seen] = X, Y, Z
     return rays[0], rays[1], rays[2]
 
 
 def poses_from_rays(
-    frame: PlaneFrame, rays: tuple[ndarray, ndarray, ndarray], pixels: Float[ndarray, "views n 2"],
-    weights: Float[ndarray, "views n"], n_iterations: int = 2,
+    frame: PlaneFrame,
+    rays: tuple[ndarray, ndarray, ndarray],
+    pixels: Float[ndarray, "views n 2"],
+    weights: Float[ndarray, "views n"],
+    n_iterations: int = 2,
 ) -> BoardPoses:
     """Poses from rays (any length, any direction); pixels serve only to weigh the residuals in pixels."""
     direction = np.stack(rays, axis=-2)
@@ -104,7 +123,9 @@ def poses_from_rays(
     inverse_z = 1 / np.where(z > _MIN_COSINE, z, 1.0)
     a, b = turned[:, 0] * inverse_z, turned[:, 1] * inverse_z
     n_corners = w.sum(axis=-1)
-    px_per_unit = plane_spread(np.where(w > 0, pixels[..., 0], 0.0), np.where(w > 0, pixels[..., 1], 0.0), w) / plane_spread(a, b, w)
+    px_per_unit = plane_spread(
+        np.where(w > 0, pixels[..., 0], 0.0), np.where(w > 0, pixels[..., 1], 0.0), w
+    ) / plane_spread(a, b, w)
     with np.errstate(all="ignore"):
         px = w * (px_per_unit * px_per_unit)[:, None]
         rows = solve_plane(plane_moments(frame.basis, a, b, px)).rows
@@ -193,7 +214,7 @@ def _refined(poses: BoardPoses, R: ndarray, t_centre: ndarray, n_iterations: int
         N = J.swapaxes(-1, -2) @ FJ
         diagonal = np.einsum("...ii->...i", N)
         N = N + (1e-9 * diagonal + 1e-300)[..., None] * np.eye(6)
-        g = (FJ.swapaxes(-1, -2) @ h[..., None])
+        g = FJ.swapaxes(-1, -2) @ h[..., None]
         step = -np.linalg.solve(N, g)[..., 0]
         angle = np.linalg.norm(step[..., :3], axis=-1, keepdims=True)
         step = step * np.minimum(1.0, 0.5 / np.maximum(angle, 1e-300))

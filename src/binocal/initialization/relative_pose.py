@@ -45,7 +45,11 @@ class Consensus:
 
 
 def estimate_relative_pose(
-    left: BoardPoses, right: BoardPoses, symmetries: SE3 | None = None, *, max_proposals: int = _MAX_PROPOSALS,
+    left: BoardPoses,
+    right: BoardPoses,
+    symmetries: SE3 | None = None,
+    *,
+    max_proposals: int = _MAX_PROPOSALS,
     n_iterations: int = 3,
 ) -> Consensus | None:
     """Consensus over the views that both cameras see, or None where no view has both.
@@ -66,7 +70,9 @@ def estimate_relative_pose(
     proposals = SE3(
         turned.R @ inverse.R[:, None], (turned.R @ inverse.t[:, None, :, None])[..., 0] + turned.t
     )  # (proposers, symmetries)
-    miss = np.stack([_transfer_px(proposals.R, proposals.t, L, right, both, S[k : k + 1]) for k in range(len(S.R))], axis=-1)
+    miss = np.stack(
+        [_transfer_px(proposals.R, proposals.t, L, right, both, S[k : k + 1]) for k in range(len(S.R))], axis=-1
+    )
     best_symmetry = np.argmin(miss - 1e-9 * (np.arange(len(S.R)) == 0), axis=-1)
     least = np.min(miss, axis=-1)  # (proposers, symmetries, views)
     scale = np.maximum(_FLOOR_PX, 3 * np.quantile(least, 0.3, axis=-1, keepdims=True))
@@ -153,7 +159,12 @@ def _with_symmetry(
 
 
 def _refine(
-    T: SE3, L: SE3, left: BoardPoses, right_form: tuple[ndarray, ndarray, PlaneFrame], both: ndarray, agrees: ndarray,
+    T: SE3,
+    L: SE3,
+    left: BoardPoses,
+    right_form: tuple[ndarray, ndarray, PlaneFrame],
+    both: ndarray,
+    agrees: ndarray,
     n_iterations: int,
 ) -> tuple[SE3, ndarray, ndarray, ndarray]:
     """T_right_left and board poses by Gauss-Newton, the agreeing views' only for T; and each view's RMS over both cameras."""
@@ -166,7 +177,9 @@ def _refine(
     def evaluate(T_R: ndarray, T_t: ndarray, R: ndarray, t: ndarray) -> tuple[ndarray, ndarray, ndarray]:
         h_L = pose_vector(turn_L @ R, (turn_L @ t[..., None])[..., 0], frame.scale)
         h_R = pose_vector(turn_R @ (T_R @ R), (turn_R @ (t @ T_R.T + T_t)[..., None])[..., 0], frame.scale)
-        cost = np.sum(h_L * (fit_L @ h_L[..., None])[..., 0], axis=-1) + np.sum(h_R * (fit_R @ h_R[..., None])[..., 0], axis=-1)
+        cost = np.sum(h_L * (fit_L @ h_L[..., None])[..., 0], axis=-1) + np.sum(
+            h_R * (fit_R @ h_R[..., None])[..., 0], axis=-1
+        )
         return h_L, h_R, np.maximum(cost, 0.0)
 
     T_R, T_t = T.R, T.t

@@ -75,7 +75,10 @@ def solve_conic(
     h1, h2 = columns[..., 0], columns[..., 1]
     size = np.sqrt(np.sum(h1 * h1, axis=-1) + np.sum(h2 * h2, axis=-1))
     h1, h2 = h1 / size[:, None], h2 / size[:, None]
-    rows = np.concatenate([conic_rows(h1, h2), (conic_rows(h1, h1) - conic_rows(h2, h2)) / 2]) * np.r_[weights, weights][:, None]
+    rows = (
+        np.concatenate([conic_rows(h1, h2), (conic_rows(h1, h1) - conic_rows(h2, h2)) / 2])
+        * np.r_[weights, weights][:, None]
+    )
     if freedom == 5:
         system = rows
     elif freedom == 4:
@@ -168,7 +171,9 @@ def estimate_pinhole(
         best = min(best, other, key=lambda result: result[0])
     _, theta, residuals, weights, information = best
     sigma_log_focal, centre = _uncertainty(theta, columns, covariance, information, n_views)
-    return VanishingEstimate(_unpack(theta), freedom, residuals, weights, singular, sigma_log_focal, centre, tuple(notes))
+    return VanishingEstimate(
+        _unpack(theta), freedom, residuals, weights, singular, sigma_log_focal, centre, tuple(notes)
+    )
 
 
 def _pack(K: Float[ndarray, "3 3"]) -> Float[ndarray, "5"]:
@@ -206,7 +211,9 @@ def _whitener(theta: Float[ndarray, "*batch 5"], columns: ndarray, covariance: n
     A, inverse, _ = _back_project(theta, columns)
     size = np.sum(A * A, axis=(-1, -2))[..., None, None]
     a_K, b_K = A.swapaxes(-1, -2)[..., :1, :] @ inverse, A.swapaxes(-1, -2)[..., 1:, :] @ inverse
-    J = np.concatenate([np.concatenate([b_K, a_K], axis=-1), np.concatenate([a_K, -b_K], axis=-1)], axis=-2) * (2 / size)
+    J = np.concatenate([np.concatenate([b_K, a_K], axis=-1), np.concatenate([a_K, -b_K], axis=-1)], axis=-2) * (
+        2 / size
+    )
     C = J @ covariance @ J.swapaxes(-1, -2)
     # (1e-5)² stands for what no covariance knows: unmodelled distortion, an uneven board
     p, q, r = C[..., 0, 0] + 1e-10, C[..., 0, 1], C[..., 1, 1] + 1e-10
@@ -241,7 +248,11 @@ def _scan_focal(columns: ndarray, covariance: ndarray) -> Float[ndarray, "3 3"]:
 
 
 def _polish(
-    theta: Float[ndarray, "5"], columns: ndarray, covariance: ndarray, sigma_centre: ndarray, has_skew: bool,
+    theta: Float[ndarray, "5"],
+    columns: ndarray,
+    covariance: ndarray,
+    sigma_centre: ndarray,
+    has_skew: bool,
     log_focal: tuple[float, float] | None,
 ) -> tuple[float, ndarray, ndarray, ndarray, ndarray]:
     """Robust cost, parameters, whitened residuals, view weights and information (priors left out) after Gauss-Newton."""
@@ -274,7 +285,9 @@ def _polish(
     residuals, _ = _whitened(theta, columns, covariance)
     weights = _view_weights(residuals)
     scale2 = max(1.0, float(np.median(np.sum(residuals**2, axis=-1))) / 1.386)
-    cost = float(np.sum(np.log1p(np.sum(residuals**2, axis=-1) / 9)) * 9 + np.sum(prior * (theta[:n_free] - prior_mean) ** 2))
+    cost = float(
+        np.sum(np.log1p(np.sum(residuals**2, axis=-1) / 9)) * 9 + np.sum(prior * (theta[:n_free] - prior_mean) ** 2)
+    )
     return cost, theta, residuals, weights, information / scale2
 
 
@@ -313,11 +326,15 @@ def _uncertainty(
     """
     slopes, C = board_slopes(_unpack(theta), columns, covariance)
     with np.errstate(all="ignore"):
-        significance = np.sum(slopes[:, None, :] @ np.linalg.inv(C + 1e-12 * np.eye(2)) @ slopes[..., None], axis=(-1, -2))
+        significance = np.sum(
+            slopes[:, None, :] @ np.linalg.inv(C + 1e-12 * np.eye(2)) @ slopes[..., None], axis=(-1, -2)
+        )
     share = float(np.mean(np.maximum(0.0, 1 - 9 / np.maximum(np.nan_to_num(significance), 1e-9))))
     weak_prior = np.r_[0.0, 1 / 0.05**2, 1 / 0.15**2, 1 / 0.15**2, 1 / 0.01**2][: len(information)]
     C = np.linalg.inv(information * share + np.diag(weak_prior + 1e-2))
-    free = np.linalg.inv(information * share + np.diag(np.r_[1e-2, 1 / 0.05**2, 1e-2, 1e-2, 1 / 0.01**2][: len(information)]))
+    free = np.linalg.inv(
+        information * share + np.diag(np.r_[1e-2, 1 / 0.05**2, 1e-2, 1e-2, 1 / 0.01**2][: len(information)])
+    )
     return float(np.sqrt(C[0, 0])), np.sqrt(np.diag(free)[2:4])
 
 
@@ -351,7 +368,11 @@ def check_orientations(
     spread_deg = float(np.degrees(np.sqrt(np.median(np.sum(d * d, axis=-1)))))
     if spread < 6.0:  # median of chi-square with 2 degrees of freedom, relative: 1 is pure noise
         centre_weight = float(mean @ weight.sum(axis=0) @ mean) / len(slopes)
-        which = "parallel to the image plane" if tilt_deg < 5 or centre_weight < 6 else f"parallel to each other (tilt {tilt_deg:.0f} deg)"
+        which = (
+            "parallel to the image plane"
+            if tilt_deg < 5 or centre_weight < 6
+            else f"parallel to each other (tilt {tilt_deg:.0f} deg)"
+        )
         raise DegenerateGeometryError(
             f"all boards seen by the {camera} camera are {which} within the noise (orientations scatter by {spread_deg:.2g} deg): "
             f"focal length and principal point are undetermined; {_REMEDY}."
