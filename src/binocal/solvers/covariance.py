@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -102,7 +100,8 @@ def cramer_rao_bound(
 ) -> Covariance:
     """Least covariance that any unbiased estimate of the rig can have, from corners with Gaussian noise of ``noise_px`` per coordinate.
 
-    All board poses are unknown (nuisance) parameters. ``T_left_board`` holds one pose per view.
+    All board poses are unknown (nuisance) parameters. ``T_left_board`` holds one pose per view. The models' weak priors count as
+    information, as they do in the estimate.
 
     Raises:
         DegenerateGeometryError: The scene leaves parameters undetermined.
@@ -110,7 +109,7 @@ def cramer_rao_bound(
     n_views, n = len(T_left_board.t), len(object_points_m)
     cameras = []
     for camera, is_seen in ((rig.left, left_is_seen), (rig.right, right_is_seen)):
-        model = replace(camera_model(camera.model), prior_sigma=math.inf)
+        model = camera_model(camera.model)
         seen = np.ones((n_views, n), dtype=bool) if is_seen is None else np.asarray(is_seen, dtype=bool)
         is_free = np.ones(model.n_parameters, dtype=bool)
         is_free[4] = skew
@@ -123,5 +122,5 @@ def cramer_rao_bound(
         rig.T_right_left.R,
         rig.T_right_left.t,
     )
-    equations = linearize(problem, truth, np.asarray(1.0), "squared")
+    equations = linearize(problem, truth, np.asarray(noise_px), "squared")
     return Covariance(shared_names(problem), shared_covariance(problem, truth, equations, noise_px))
