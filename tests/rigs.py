@@ -52,6 +52,13 @@ def make_detections(rig: StereoRig, T_left_board: SE3, *, noise_px: float = 0.0,
 
 def make_calibration(rig: StereoRig | None = None) -> StereoCalibration:
     rig = rig or make_rig()
+    poses = make_poses(1, np.random.default_rng(0))
+    corners = make_detections(make_rig(), poses)
+    left_px = corners.left_px.copy()
+    left_px[0, 5] = np.nan
+    detections = Detections(
+        corners.object_points_m, left_px, corners.right_px, rig.left.size_wh, rig.right.size_wh, ("01",), rig.is_metric
+    )
     names = ("left.fx", "rotation.x", "translation.x")
     return StereoCalibration(
         rig=rig,
@@ -59,6 +66,8 @@ def make_calibration(rig: StereoRig | None = None) -> StereoCalibration:
         rms=ResidualSummary(0.1, 0.2, 0.15),
         noise_px=0.08,
         views=(ViewResult("01", 0.1, 0.1, float("nan"), 88, (OutlierCorner("left", 4, 7.5),), "turned by 180 deg"),),
+        detections=detections,
+        T_left_board=poses,
         rejected=(RejectedView("02", "no board found in the left picture"),),
         warnings=("left and right look exchanged",),
         n_iterations=7,
