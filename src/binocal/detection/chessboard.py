@@ -15,7 +15,7 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices
 from binocal.detection.refinement import corner_covariance, refine_corners
 from binocal.detection.regularity import find_irregular
-from binocal.detection.xcorners import find_x_corners
+from binocal.detection.xcorners import find_x_corners, sample
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32
@@ -45,10 +45,11 @@ def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: 
     size = (max(board.columns, board.rows), min(board.columns, board.rows))
     partial: tuple[Lattice, _Level] | None = None
     other: Lattice | None = None
+    previous: tuple[int, int] | None = None
     for level in _search_levels(stretched, size):
         exact = [lattice for lattice in level.lattices if lattice.size == size]
         if exact and exact[0].n_seen == board.n_points:
-            return _finish(grey, board, exact[0], level)
+            return _finish(grey, stretched, board, exact[0], level)
         if exact and (partial is None or exact[0].n_seen > partial[0].n_seen):
             partial = exact[0], level
         rivals = _boards(level.lattices)
@@ -56,10 +57,14 @@ def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: 
             return _several(board, rivals)
         if rivals and (other is None or rivals[0].n_seen > other.n_seen):
             other = rivals[0]
+        larger = rivals[0].size if rivals and (rivals[0].size[0] > size[0] or rivals[0].size[1] > size[1]) else None
+        if larger is not None and larger == previous and not exact:
+            break  # two levels agree on a larger board
+        previous = larger
     if partial and partial[0].n_seen >= MIN_SHARE_SEEN * board.n_points:
-        return _finish(grey, board, *partial)
+        return _finish(grey, stretched, board, *partial)
     spec = f"{board.columns}x{board.rows}"
-    if other is None or partial is not None:
+    if other is None or (partial is not None and partial[0].n_seen >= other.n_seen):
         seen = partial[0].n_seen if partial else 0
         text = f"only {seen} of the {board.n_points} corners were seen" if seen else "no chessboard found"
         return not_found(board.n_points, text)
@@ -96,12 +101,12 @@ def _search_levels(stretched: Float32[ndarray, "h w"], size: tuple[int, int] | N
         yield _Level(smooth, scale, radius_px, find_lattices(smooth, corners, radius_px, least=least, size=size))
 
 
-def _boards(lattices: list[Lattice]) -> list[Lattice]:
-    """The lattices that are boards: regular, nearly complete, and not much smaller than the largest of them."""
-    boards: list[Lattice] = []
+def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattice]:
+    """The lattices that are boards: regular, nearly complete, and not much smaller than the main one (else the largest)."""
+    boards = [] if main is None else [main]
     for lattice in lattices:
         rows, columns = lattice.points_px.shape[:2]
-        if min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_SEEN * rows * columns or not _is_regular(lattice):
+        if lattice is main or min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_SEEN * rows * columns:
             continue
         if boards and (
             lattice.n_seen < 0.4 * boards[0].n_seen
@@ -109,7 +114,8 @@ def _boards(lattices: list[Lattice]) -> list[Lattice]:
             or any(_overlap(lattice, board) for board in boards)
         ):
             continue
-        boards.append(lattice)
+        if _is_regular(lattice):
+            boards.append(lattice)
     return boards
 
 
@@ -147,13 +153,16 @@ def _spacing(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows col
     return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
-def _finish(grey: ndarray, board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
+def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
     """Orient, refine at full resolution and check a lattice of the board's size."""
-    rivals = [other for other in _boards(level.lattices) if other is not lattice and not _overlap(other, lattice)]
+    rivals = _boards(level.lattices, lattice)[1:]
     if len(rivals) > 1 or any(rival.size == lattice.size for rival in rivals):
         return _several(board, [lattice, *rivals])
     if continues_beyond(level.smooth, lattice, level.radius_px):
         return _too_large(board, None)
+    full = (lattice.points_px + 0.5) / level.scale - 0.5
+    if _are_squares_patterned(stretched, full, lattice.is_dark_first):
+        return not_found(board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?")
     grid = (_orient(lattice, board) + 0.5) / level.scale - 0.5
     spacing = _spacing(grid).ravel()
     coarse = grid.reshape(-1, 2)
@@ -173,6 +182,24 @@ def _finish(grey: ndarray, board: Board, lattice: Lattice, level: _Level) -> Fou
     if rivals:
         notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the picture")
     return FoundBoard(points, corner_covariance(grey, points, spacing), note="; ".join(notes))
+
+
+def _are_squares_patterned(stretched: Float32[ndarray, "h w"], grid: Float[ndarray, "rows columns 2"], is_dark_first: bool) -> bool:
+    """Whether the bright squares are not plain: a marker fills most of its square with dark, shading only tints it."""
+    corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)  # (rows, columns, 4, 2)
+    share = np.linspace(0.2, 0.8, 7)
+    v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
+    values = sample(stretched, np.nan_to_num(weights @ corners))
+    rows, columns = values.shape[:2]
+    is_whole = np.isfinite(corners[..., 0]).all(axis=2)
+    is_bright = (np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)
+    if not (is_bright & is_whole).any() or not (~is_bright & is_whole).any():
+        return False
+    dark = np.median(values[~is_bright & is_whole])
+    bright = np.percentile(values[is_bright & is_whole], 95)
+    share_dark = np.mean(values[is_bright & is_whole] < 0.5 * (dark + bright), axis=-1)
+    return bool(np.median(share_dark) > 0.25)
 
 
 def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:

@@ -55,6 +55,9 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
             match = _match(lattice, blobs, board)
             if match.blob_of_point is not None:
                 return _finish(grey, board, blobs, match.blob_of_point, is_dark)
+            columns, rows = match.size_seen
+            if min(columns, rows) < 2 or len(lattice.members) < (1 - MAX_SHARE_MISSING) * columns * rows:
+                continue  # a chance lattice of the clutter
             if best is None or len(lattice.members) > best[0]:
                 best = len(lattice.members), match.size_seen
     spec = f"{board.columns}x{board.rows}"

@@ -59,7 +59,7 @@ def detect_in_layout(
 
 def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:
     """The picture as float32 in 0..255, its contrast stretched (8-bit: at most fourfold), and what makes it useless, if anything."""
-    step = max(1, min(grey.shape) // 200)
+    step = max(1, min(grey.shape) // 120)
     low, high = (float(value) for value in np.percentile(grey[::step, ::step], (0.5, 99.5)))
     span = high - low
     top = 255.0 if grey.dtype == np.uint8 else float(grey.max())

@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.datasets.pictures import read_grey_picture
+from binocal.detection.charuco import find_columns
 from binocal.detection.chessboard import find_chessboard_size
 from binocal.detection.detect import detect, stretch
 from binocal.detection.found import FoundBoard
@@ -44,10 +45,10 @@ def hint_by_trying(paths: Sequence[Path], board: Board) -> str:
         if len(pictures) == MOST_TRIED:
             break
     for path, grey in pictures:
-        hint = _try_boards(path, grey, board) or _try_families(path, grey, board)
+        hint = _try_boards(path, grey, board)
         if hint:
             return hint
-    return ""
+    return _try_families(*pictures[0], board) if pictures and board.kind in ("charuco", "aprilgrid") else ""
 
 
 def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
@@ -60,7 +61,11 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
     for trial in trials:
         if detect(grey, trial).is_found:
             return f"found a {trial.columns}x{trial.rows} {trial.kind} in {path.name}: did you mean {trial.kind}:{trial.columns}x{trial.rows}?"
-    if board.kind in ("circles", "acircles", "chessboard"):
+    if board.kind == "charuco":
+        columns = find_columns(stretch(grey)[0], board)
+        if columns and columns != board.columns:
+            return f"the markers in {path.name} fit a board {columns} squares wide: count columns and rows again."
+    if board.kind in ("circles", "acircles"):
         stretched, problem = stretch(grey)
         size = None if problem else find_chessboard_size(stretched)
         if size is not None:

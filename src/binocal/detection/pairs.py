@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's pictures; with fewer it is not clear which size the camera has
+MIN_SHARE_OF_HINT = 0.2  # of the pictures must agree on another size before it is proposed
 _SIDES = ("left", "right")
 
 
@@ -179,9 +180,10 @@ def _require_board(seen: Sequence[_Seen], pairs: Sequence[PicturePair], board: B
         common, count = Counter(reasons.values()).most_common(1)[0]
         share = f" ({count} of them)" if count < len(reasons) else ""
         text = f"{spec} was found in none of {len(seen)} pictures ({len(pairs)} pairs): {common}{share}"
-        if not n_other:
+        if n_other < MIN_SHARE_OF_HINT * len(looked):
             hint = hint_by_trying([path for path, _ in looked], board)
-    raise DetectionError(f"{text}; {hint or 'check the board SPEC, the light and the focus.'}", reasons)
+    remedy = hint or ("" if ";" in text else "check the board SPEC, the light and the focus.")
+    raise DetectionError(f"{text}; {remedy}" if remedy else f"{text}.", reasons)
 
 
 def _common_size(side: str, pictures: Sequence[_Seen]) -> tuple[int, int]:
