@@ -37,8 +37,8 @@ class _Reading:
 def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
     """Square (column, row) of each marker, by id.
 
-    Both layouts fill the white squares row by row. They differ where the number of rows is even: the current one (OpenCV 4.6 on)
-    has a dark square at the top left, the legacy one a white square with marker 0.
+    Both layouts fill the white squares row by row. They differ where the number of rows is even: the current one
+    (OpenCV 4.6 on) has a dark square at the top left, the legacy one a white square with marker 0.
     """
     first = 0 if layout == "legacy" and board.rows % 2 == 0 else 1
     return np.array([(x, y) for y in range(board.rows) for x in range(board.columns) if (x + y) % 2 == first])
@@ -47,9 +47,10 @@ def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
 def detect_charuco(
     grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board, layout: Layout = ""
 ) -> tuple[FoundBoard, Layout]:
-    """The inner corners of a ChArUco board, partly visible or not, and the layout that the picture itself proves ("": neither).
+    """The inner corners of a ChArUco board, partly visible or not, and the layout the picture proves ("": neither).
 
-    With a ``layout`` given it is taken; without, the one on which the markers fit a plane (the current one if both do, with a note).
+    With a ``layout`` given it is taken; without, the one on which the markers fit a plane (the current one if both do,
+    with a note).
     """
     ids, quads = find_markers(to_8_bit(stretched), get_dictionary(board.dictionary))
     if len(ids) == 0:
@@ -67,7 +68,9 @@ def detect_charuco(
         return not_found(board.n_points, f"its {n_markers} markers do not lie as on a board of {size} squares"), proved
     found = _measure(grey, stretched, board, quads[known], reading)
     if found.is_found and not layout and not proved and board.rows % 2 == 0:
-        found = replace(found, note="the board's layout (current or legacy) cannot be told from this picture; current taken")
+        found = replace(
+            found, note="the board's layout (current or legacy) cannot be told from this picture; current taken"
+        )
     return found, proved
 
 
@@ -83,7 +86,10 @@ def _read_layout(board: Board, layout: Layout, ids: ndarray, quads: ndarray) -> 
 
 
 def find_columns(stretched: Float32[ndarray, "h w"], board: Board) -> int:
-    """Number of columns for which the picture's markers of the board's dictionary lie on a plane; 0 if none or several do."""
+    """Number of columns for which the picture's markers of the board's dictionary lie on a plane.
+
+    0 if none or several do.
+    """
     ids, quads = find_markers(to_8_bit(stretched), get_dictionary(board.dictionary))
     if len(ids) < 6:
         return 0
@@ -117,11 +123,14 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
     points[~_are_x_corners(stretched, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= MIN_CORNERS:
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = np.nan
+        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
+            np.nan
+        )
         seen = np.isfinite(points[:, 0])
     if seen.sum() < MIN_CORNERS or not _span_plane(board.object_points_m[seen, :2]):
         return not_found(
-            board.n_points, f"only {seen.sum()} corners seen beside {len(quads)} markers; at least {MIN_CORNERS} off one line needed"
+            board.n_points,
+            f"only {seen.sum()} corners seen beside {len(quads)} markers; at least {MIN_CORNERS} off one line needed",
         )
     return FoundBoard(points, corner_covariance(grey, points, spacing, per_spacing=room))
 
@@ -133,7 +142,10 @@ def _span_plane(xy: Float[ndarray, "n 2"]) -> bool:
 
 
 def _predict(board: Board, quads: ndarray, reading: _Reading) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"]]:
-    """Where each corner must be by the markers beside it, and the square's side there; NaN without a marker, or where two disagree."""
+    """Where each corner must be by the markers beside it, and the square's side there.
+
+    NaN without a marker, or where two disagree.
+    """
     columns, rows = board.columns - 1, board.rows - 1
     margin = 0.5 * (1 - board.marker_m / board.pitch_m)
     inner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 - 2 * margin) + margin
@@ -158,7 +170,10 @@ def _predict(board: Board, quads: ndarray, reading: _Reading) -> tuple[Float[nda
 
 
 def _are_x_corners(stretched: ndarray, points: ndarray, spacing: ndarray) -> Bool[ndarray, "n"]:
-    """Whether four sectors meet at each point; the ring stays within the gap between the corner and the marker's code."""
+    """Whether four sectors meet at each point.
+
+    The ring stays within the gap between the corner and the marker's code.
+    """
     is_corner = np.zeros(len(points), bool)
     radius = np.clip(np.nan_to_num(0.14 * spacing), 2.0, 8.0).round()
     for value in np.unique(radius):

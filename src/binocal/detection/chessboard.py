@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
-_RIVAL_SPACING = 0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
+_RIVAL_SPACING = (
+    0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,9 +40,10 @@ class _Level:
 def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
     """The inner corners of a chessboard; ``stretched`` is the same picture as float32 in 0..255.
 
-    Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's two
-    (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the lower
-    right of the picture is chosen, which is the same in both cameras of a rig unless the board is turned by 135 degrees.
+    Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's
+    two (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the
+    lower right of the picture is chosen, which is the same in both cameras of a rig unless the board is turned by 135
+    degrees.
     """
     size = (max(board.columns, board.rows), min(board.columns, board.rows))
     partial: tuple[Lattice, _Level] | None = None
@@ -71,11 +74,13 @@ def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: 
     columns, rows = other.size
     if columns > size[0] or rows > size[1]:
         return _too_large(board, other.size)
-    return not_found(board.n_points, f"only {columns}x{rows} corners of the board's {spec} were seen", size_seen=other.size)
+    return not_found(
+        board.n_points, f"only {columns}x{rows} corners of the board's {spec} were seen", size_seen=other.size
+    )
 
 
 def find_chessboard_size(stretched: Float32[ndarray, "h w"]) -> tuple[int, int] | None:
-    """Columns and rows (the larger first) of the largest complete chessboard in a picture of which nothing else is known."""
+    """Columns and rows (the larger first) of the largest complete chessboard in a picture."""
     best: Lattice | None = None
     for level in _search_levels(stretched, None):
         for lattice in _boards(level.lattices)[:1]:
@@ -85,7 +90,10 @@ def find_chessboard_size(stretched: Float32[ndarray, "h w"]) -> tuple[int, int] 
 
 
 def _search_levels(stretched: Float32[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[_Level]:
-    """The picture's lattices, coarse to fine; most boards are found at the first level, at a fraction of the cost of the last."""
+    """The picture's lattices, coarse to fine.
+
+    Most boards are found at the first level, at a fraction of the cost of the last.
+    """
     longest = max(stretched.shape)
     halvings = max(0, int(np.floor(np.log2(longest / COARSEST_PX))))
     settings = [(0.5**k, 1.5, 5.0) for k in range(halvings, -1, -1)] + [(1.0, 1.0, 3.0)]
@@ -102,7 +110,7 @@ def _search_levels(stretched: Float32[ndarray, "h w"], size: tuple[int, int] | N
 
 
 def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattice]:
-    """The lattices that are boards: regular, nearly complete, and not much smaller than the main one (else the largest)."""
+    """The lattices that are boards: regular, nearly complete, not much smaller than the main one (else the largest)."""
     boards = [] if main is None else [main]
     for lattice in lattices:
         rows, columns = lattice.points_px.shape[:2]
@@ -162,7 +170,9 @@ def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, l
         return _too_large(board, None)
     full = (lattice.points_px + 0.5) / level.scale - 0.5
     if _are_squares_patterned(stretched, full, lattice.is_dark_first):
-        return not_found(board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?")
+        return not_found(
+            board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
+        )
     grid = (_orient(lattice, board) + 0.5) / level.scale - 0.5
     spacing = _spacing(grid).ravel()
     coarse = grid.reshape(-1, 2)
@@ -170,11 +180,14 @@ def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, l
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= max(4, MIN_SHARE_SEEN * board.n_points):
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = np.nan
+        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
+            np.nan
+        )
         seen = np.isfinite(points[:, 0])
     if seen.sum() < max(4, MIN_SHARE_SEEN * board.n_points):
         return not_found(
-            board.n_points, f"the corners do not lie on a smooth grid ({seen.sum()} of {board.n_points} do); too blurred or covered?"
+            board.n_points,
+            f"the corners do not lie on a smooth grid ({seen.sum()} of {board.n_points} do); too blurred or covered?",
         )
     notes = []
     if not seen.all():
@@ -184,7 +197,9 @@ def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, l
     return FoundBoard(points, corner_covariance(grey, points, spacing), note="; ".join(notes))
 
 
-def _are_squares_patterned(stretched: Float32[ndarray, "h w"], grid: Float[ndarray, "rows columns 2"], is_dark_first: bool) -> bool:
+def _are_squares_patterned(
+    stretched: Float32[ndarray, "h w"], grid: Float[ndarray, "rows columns 2"], is_dark_first: bool
+) -> bool:
     """Whether the bright squares are not plain: a marker fills most of its square with dark, shading only tints it."""
     corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)  # (rows, columns, 4, 2)
     share = np.linspace(0.2, 0.8, 7)
@@ -210,7 +225,9 @@ def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:
         if grid.shape[:2] == (board.rows, board.columns):
             way = np.nanmean(grid[:, -1] - grid[:, 0], axis=0)
             choices.append((is_dark_first, float(way.sum() / np.linalg.norm(way)), grid))
-        is_dark_first ^= bool((grid.shape[1] - 1) % 2)  # the next first corner is the present row's last
+        # The next first corner is the present row's last; its outward square is of the other colour unless the row is
+        # even.
+        is_dark_first ^= bool(grid.shape[1] % 2)
         grid = np.rot90(grid)
     return max(choices, key=lambda choice: choice[:2])[2]
 
@@ -220,14 +237,16 @@ def _several(board: Board, rivals: list[Lattice]) -> FoundBoard:
     more = ", ..." if len(rivals) > 6 else ""
     return not_found(
         board.n_points,
-        f"more than one board in the picture ({len(rivals)}: {sizes}{more}); show one at a time, or cover or crop the others",
+        f"more than one board in the picture ({len(rivals)}: {sizes}{more}); show one at a time, or cover the others",
     )
 
 
 def _too_large(board: Board, size: tuple[int, int] | None) -> FoundBoard:
     spec = f"{board.columns}x{board.rows}"
     if size is None:
-        return not_found(board.n_points, f"the printed board continues beyond {spec} corners; count its inner corners again")
+        return not_found(
+            board.n_points, f"the printed board continues beyond {spec} corners; count its inner corners again"
+        )
     return not_found(
         board.n_points,
         f"the printed board continues beyond {spec} corners; the SPEC is probably chessboard:{size[0]}x{size[1]}",

@@ -20,11 +20,18 @@ from binocal.detection.markers import find_markers, to_8_bit
 from binocal.errors import FormatError
 
 MOST_TRIED = 3
-_FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11")
+_FAMILIES = (
+    "DICT_4X4_1000",
+    "DICT_5X5_1000",
+    "DICT_6X6_1000",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_36h11",
+)
 
 
 def hint_from_sizes(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> tuple[str, int]:
-    """A hint from grids of another size that were seen instead of the board's, and in how many pictures the same one was."""
+    """A hint from grids of another size that were seen instead of the board's, and in how many pictures."""
     sizes = Counter(result.size_seen for _, result in found if result.size_seen is not None)
     if not sizes:
         return "", 0
@@ -60,7 +67,8 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
         trials.append(replace(board, kind="acircles" if board.kind == "circles" else "circles"))
     for trial in trials:
         if detect(grey, trial).is_found:
-            return f"found a {trial.columns}x{trial.rows} {trial.kind} in {path.name}: did you mean {trial.kind}:{trial.columns}x{trial.rows}?"
+            size = f"{trial.columns}x{trial.rows}"
+            return f"found a {size} {trial.kind} in {path.name}: did you mean {trial.kind}:{size}?"
     if board.kind == "charuco":
         columns = find_columns(stretch(grey)[0], board)
         if columns and columns != board.columns:
@@ -69,7 +77,9 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
         stretched, problem = stretch(grey)
         size = None if problem else find_chessboard_size(stretched)
         if size is not None:
-            return f"found a {size[0]}x{size[1]} chessboard in {path.name}: did you mean chessboard:{size[0]}x{size[1]}?"
+            return (
+                f"found a {size[0]}x{size[1]} chessboard in {path.name}: did you mean chessboard:{size[0]}x{size[1]}?"
+            )
     return ""
 
 

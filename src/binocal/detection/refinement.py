@@ -15,17 +15,23 @@ _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
 WINDOW_PER_SPACING = 0.38  # half-width; the window's diagonal then ends at 0.54 of the way to the nearest corner
 LARGEST_HALF_WINDOW_PX = 11  # beyond it lens curvature costs more than the additional edge length gains
 
-EFFICIENCY_LOSS = 3.0  # cornerSubPix over the bound; 2.6 to 3.7 on simulated corners with blur 0.6 to 1.5 px, noise 1 to 5
+EFFICIENCY_LOSS = (
+    3.0  # cornerSubPix over the bound; 2.6 to 3.7 on simulated corners with blur 0.6 to 1.5 px, noise 1 to 5
+)
 FLOOR_PX = 0.015  # its bias on exact corners
 
 
 def refine_corners(
-    grey: ndarray, points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"], *, per_spacing: float = WINDOW_PER_SPACING
+    grey: ndarray,
+    points_px: Float[ndarray, "n 2"],
+    spacing_px: Float[ndarray, "n"],
+    *,
+    per_spacing: float = WINDOW_PER_SPACING,
 ) -> Float[ndarray, "n 2"]:
-    """Corners where the gradients of their window are orthogonal to the way from the corner (Förstner), by cornerSubPix.
+    """Corners to sub-pixels: their window's gradients are orthogonal to the way from them (Förstner), by cornerSubPix.
 
-    ``grey`` is (h, w), uint8, uint16 or float32. ``spacing_px`` is the distance to the nearest other corner. A corner that leaves
-    its own window, or has no room inside the picture, is NaN.
+    ``grey`` is (h, w), uint8, uint16 or float32. ``spacing_px`` is the distance to the nearest other corner. A corner
+    that leaves its own window, or has no room inside the picture, is NaN.
     """
     if grey.dtype == np.uint16:
         grey = grey.astype(np.float32)
@@ -50,7 +56,8 @@ def refine_corners(
 def estimate_noise_dn(grey: ndarray) -> float:
     """Standard deviation of the pixel noise, grey levels, at least what rounding alone gives.
 
-    Median absolute response of Immerkær's (1996) Laplacian difference mask, which is blind to shading and straight edges.
+    Median absolute response of Immerkær's (1996) Laplacian difference mask, which is blind to shading and straight
+    edges.
     """
     rows = max(1, grey.shape[0] // 240)
     band = grey.astype(np.float32)
@@ -68,8 +75,9 @@ def corner_covariance(
     *,
     per_spacing: float = WINDOW_PER_SPACING,
 ) -> Float[ndarray, "n 2 2"]:
-    """Isotropic covariance of each refined corner, px^2, from the noise and the gradients in its window; NaN where it is NaN.
+    """Isotropic covariance of each refined corner, px^2, from the noise and the gradients in its window.
 
+    NaN where it is NaN.
     The image-level bound noise^2 inverse(sum g g^T) is widened to what cornerSubPix reaches, with a floor for its bias.
     """
     variance = np.full(len(points_px), np.nan)
