@@ -1,3 +1,112 @@
 """binocal: stereo-camera calibration that measures depth and says how far the depth can be trusted."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from binocal.boards import Board, load_board
+    from binocal.calibrators import calibrate
+    from binocal.cameras import Camera, StereoRig
+    from binocal.detection import detect, detect_pairs
+    from binocal.detections import Detections
+    from binocal.errors import (
+        BinocalError,
+        CalibrationError,
+        DataError,
+        DegenerateGeometryError,
+        DetectionError,
+        FormatError,
+        InconsistentViewsError,
+        MissingExtraError,
+        NotConvergedError,
+        OutputExistsError,
+        TooFewPointsError,
+        TooFewViewsError,
+    )
+    from binocal.formats.native import read_calibration, read_rig, write_calibration
+    from binocal.geometry import SE3
+    from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+
+# Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
+_HOMES = {
+    "binocal.boards": ("Board", "load_board"),
+    "binocal.calibrators": ("calibrate",),
+    "binocal.cameras": ("Camera", "StereoRig"),
+    "binocal.detection": ("detect", "detect_pairs"),
+    "binocal.detections": ("Detections",),
+    "binocal.errors": (
+        "BinocalError",
+        "CalibrationError",
+        "DataError",
+        "DegenerateGeometryError",
+        "DetectionError",
+        "FormatError",
+        "InconsistentViewsError",
+        "MissingExtraError",
+        "NotConvergedError",
+        "OutputExistsError",
+        "TooFewPointsError",
+        "TooFewViewsError",
+    ),
+    "binocal.formats.native": ("read_calibration", "read_rig", "write_calibration"),
+    "binocal.geometry": ("SE3",),
+    "binocal.result": (
+        "Covariance",
+        "OutlierCorner",
+        "RejectedView",
+        "ResidualSummary",
+        "StereoCalibration",
+        "ViewResult",
+    ),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "SE3",
+    "BinocalError",
+    "Board",
+    "CalibrationError",
+    "Camera",
+    "Covariance",
+    "DataError",
+    "DegenerateGeometryError",
+    "DetectionError",
+    "Detections",
+    "FormatError",
+    "InconsistentViewsError",
+    "MissingExtraError",
+    "NotConvergedError",
+    "OutlierCorner",
+    "OutputExistsError",
+    "RejectedView",
+    "ResidualSummary",
+    "StereoCalibration",
+    "StereoRig",
+    "TooFewPointsError",
+    "TooFewViewsError",
+    "ViewResult",
+    "__version__",
+    "calibrate",
+    "detect",
+    "detect_pairs",
+    "load_board",
+    "read_calibration",
+    "read_rig",
+    "write_calibration",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'binocal' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME_OF})

@@ -5,7 +5,9 @@
     BinocalError
     ├── DataError               the input cannot be used            (CLI exit code 3)
     │   ├── FormatError         a file is not what it should be
-    │   └── DetectionError      no usable board in the pictures
+    │   ├── DetectionError      no usable board in the pictures
+    │   ├── SceneError          the simulator cannot place the board as asked
+    │   └── OutputExistsError   a result would overwrite a file
     ├── CalibrationError        the input is readable, no trustworthy rig follows from it   (CLI exit code 3)
     │   ├── TooFewViewsError
     │   ├── TooFewPointsError
@@ -42,6 +44,22 @@ class DetectionError(DataError):
     def __init__(self, message: str, reasons: dict[str, str] | None = None) -> None:
         super().__init__(message)
         self.reasons = dict(reasons or {})
+
+
+class SceneError(DataError):
+    """The simulator found no board poses as asked; ``placed`` of ``wanted`` views succeeded."""
+
+    def __init__(self, problem: str, placed: int, wanted: int) -> None:
+        super().__init__(f"{placed} of {wanted} board poses found: {problem}")
+        self.placed, self.wanted = placed, wanted
+
+
+class OutputExistsError(DataError, FileExistsError):
+    """A result would overwrite what is already there; ``path`` names it."""
+
+    def __init__(self, path: object) -> None:
+        super().__init__(f"{path} exists already; choose another output, or overwrite it with --force (force=True).")
+        self.path = path
 
 
 class CalibrationError(BinocalError):

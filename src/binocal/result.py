@@ -10,6 +10,9 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
+from binocal.detections import Detections
+from binocal.geometry import SE3
+from binocal.geometry import so3
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -38,6 +41,14 @@ class Covariance:
         """Standard deviation of each parameter."""
         return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
 
+    def block(self, name: str) -> Float[ndarray, "3 3"]:
+        """Covariance of ``rotation`` or ``translation``, in the order x, y, z; NaN where it was not estimated."""
+        wanted = [f"{name}.{axis}" for axis in "xyz"]
+        if not set(wanted) <= set(self.names):
+            return np.full((3, 3), np.nan)
+        index = [self.names.index(item) for item in wanted]
+        return self.matrix[np.ix_(index, index)]
+
 
 @dataclass(frozen=True, slots=True)
 class ResidualSummary:
@@ -49,8 +60,17 @@ class ResidualSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class OutlierCorner:
+    """A corner that the solver gave no weight: which camera (``left`` or ``right``), its index on the board, its distance from the fit."""
+
+    camera: str
+    corner: int
+    distance_px: float
+
+
+@dataclass(frozen=True, slots=True)
 class ViewResult:
-    """A view that was used. ``n_outliers`` of its ``n_corners`` corners (both cameras) were rejected; RMS is over the others.
+    """A view that was used. ``outliers`` among its ``n_corners`` corners (both cameras) were rejected; RMS is over the others.
 
     ``note`` says what was repaired, if anything. An RMS is NaN where the camera did not see the board.
     """
@@ -60,8 +80,13 @@ class ViewResult:
     left_rms_px: float
     right_rms_px: float
     n_corners: int
-    n_outliers: int
+    outliers: tuple[OutlierCorner, ...] = ()
     note: str = ""
+
+    @property
+    def n_outliers(self) -> int:
+        """Number of rejected corners."""
+        return len(self.outliers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +110,33 @@ class StereoCalibration:
     noise_px: float
     """Estimated standard deviation of one corner coordinate, pixels."""
     views: tuple[ViewResult, ...]
+    detections: Detections
+    """The views that were used, in the order of ``views``, corner orders repaired."""
+    T_left_board: SE3
+    """Pose of the board in each used view."""
     rejected: tuple[RejectedView, ...] = ()
     warnings: tuple[str, ...] = ()
     n_iterations: int = 0
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def euler_sigma_rad(self) -> tuple[float, float, float]:
+        """Standard deviations of the paper's angles gamma, lambda, mu, radians; NaN where unknown.
+
+        First order, through central differences of the angles by the rotation vector (step 1e-6 rad, error below 1e-9).
+        """
+        R, step = self.rig.T_right_left.R, 1e-6
+        J = np.empty((3, 3))
+        for i in range(3):
+            w = np.zeros(3)
+            w[i] = step
+            difference = np.subtract(so3.to_paper_angles(so3.exp(w) @ R), so3.to_paper_angles(so3.exp(-w) @ R))
+            J[:, i] = ((difference + np.pi) % (2 * np.pi) - np.pi) / (2 * step)
+        gamma, lambda_, mu = np.sqrt(np.diag(J @ self.covariance.block("rotation") @ J.T)).tolist()
+        return gamma, lambda_, mu
+
+    @property
+    def baseline_sigma_m(self) -> float:
+        """Standard deviation of the baseline, metres (board pitches without a scale); NaN where unknown."""
+        along = self.rig.T_right_left.t / self.rig.baseline_m
+        return float(np.sqrt(along @ self.covariance.block("translation") @ along))

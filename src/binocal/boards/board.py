@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles"]
 
@@ -40,7 +40,7 @@ class Board:
     tag_gap_ratio: float = 0.3
     """AprilGrid: gap between tags over tag side (Kalibr's ``tagSpacing``)."""
     first_tag_id: int = 0
-    """AprilGrid: id of the first tag of the first row."""
+    """AprilGrid: the lowest id, that of the bottom-left tag; see :attr:`tag_ids`."""
     circle_diameter_ratio: float = 0.5
     """Circle grids: diameter over the distance to the nearest neighbour; matters to rendering only."""
 
@@ -73,6 +73,16 @@ class Board:
     def allows_partial(self) -> bool:
         """True where every point carries its identity, so that a partly visible board can be used."""
         return self.kind in ("charuco", "aprilgrid")
+
+    @property
+    def tag_ids(self) -> Int[ndarray, "tags"]:
+        """AprilGrid: ids of the tags in the order of the points (four points per tag), top row first; empty for other kinds.
+
+        As Kalibr prints them: ids grow to the right and UPWARD from the bottom-left tag (its y axis points up).
+        """
+        if self.kind != "aprilgrid":
+            return np.empty(0, dtype=int)
+        return self.first_tag_id + np.arange(self.columns * self.rows).reshape(self.rows, self.columns)[::-1].ravel()
 
     @property
     def object_points_m(self) -> Float[ndarray, "n 3"]:

@@ -58,6 +58,33 @@ def parse_board(spec: str) -> Board:
     return Board(kind, columns, rows, pitch_m, is_metric)  # type: ignore[arg-type]
 
 
+def format_length(length_m: float) -> str:
+    """Text of a length that :func:`parse_length` reads back to the same number: millimetres where they are exact."""
+    text = f"{round(length_m * 1e3, 9):g}mm"
+    return text if parse_length(text)[0] == length_m else f"{length_m!r}m"
+
+
+def format_board(board: Board) -> str:
+    """SPEC text of a board, the inverse of :func:`parse_board`.
+
+    Not carried, because rendering alone needs it: the circles' diameter.
+
+    Raises:
+        ValueError: The board has a first tag id or tag family that a SPEC cannot say.
+    """
+    spec = f"{board.kind}:{board.columns}x{board.rows}"
+    if board.kind == "aprilgrid" and (board.first_tag_id != 0 or board.dictionary != "tag36h11"):
+        raise ValueError("a SPEC has no place for a first tag id other than 0 or a family other than tag36h11")
+    needs_length = board.is_metric or board.kind in ("charuco", "aprilgrid") or board.pitch_m != 1.0
+    if needs_length:
+        spec += f":{format_length(board.pitch_m) if board.is_metric else repr(board.pitch_m)}"
+    if board.kind == "charuco":
+        spec += f":{format_length(board.marker_m) if board.is_metric else repr(board.marker_m)}:{board.dictionary}"
+    if board.kind == "aprilgrid":
+        spec += f":{board.tag_gap_ratio!r}"
+    return spec
+
+
 def load_board(spec_or_path: str) -> Board:
     """Board of a SPEC text, or of a YAML file: Kalibr's target file, or one with a single key ``board: SPEC``.
 

@@ -31,7 +31,7 @@ class Camera:
         if parameters.shape != (expected,):
             raise ValueError(f"{self.model} has {expected} parameters (fx fy cx cy skew + distortion); got {parameters.shape}")
         if not np.all(np.isfinite(parameters)) or parameters[0] <= 0 or parameters[1] <= 0:
-            raise ValueError(f"camera parameters must be finite with fx, fy > 0; got {parameters}")
+            raise ValueError(f"camera parameters must be finite with fx, fy > 0; got {parameters.tolist()}")
         width, height = (int(n) for n in self.size_wh)
         if width < 1 or height < 1:
             raise ValueError(f"size_wh must be positive; got {self.size_wh}")

@@ -1,0 +1,41 @@
+# make demo: render, calibrate and compare.  make test: what CI runs.  make lint: the checks without the tests.
+# Each makes .venv first, and makes it anew when pyproject.toml or constraints.txt change.
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHONS := python3 python3.14 python3.13 python3.12 python3.11 python
+IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
+
+.PHONY: demo test lint docs
+
+demo: $(VENV)/.stamp
+	@$(BIN)/binocal demo --output binocal-demo --force
+
+test: lint
+	$(BIN)/pytest
+
+lint: $(VENV)/.stamp
+	$(BIN)/ruff check src tests docs
+	$(BIN)/lint-imports
+
+docs: $(VENV)/.stamp
+	$(BIN)/python docs/make_cli_reference.py
+	$(BIN)/python docs/make_picture.py
+
+$(VENV)/.stamp: pyproject.toml constraints.txt
+	@if ! $(BIN)/python -c '$(IS_NEW_ENOUGH)' 2>/dev/null; then \
+	  found=; \
+	  for name in $(PYTHONS); do \
+	    if "$$name" -c '$(IS_NEW_ENOUGH)' 2>/dev/null; then found=$$name; break; fi; \
+	  done; \
+	  if [ -z "$$found" ]; then \
+	    echo "binocal needs Python 3.11 or newer, and none is on the PATH (looked for: $(PYTHONS)); get it from https://www.python.org/downloads/." >&2; \
+	    exit 1; \
+	  fi; \
+	  if ! "$$found" -m venv --clear $(VENV); then \
+	    echo "$$found cannot make a virtual environment; on Debian and Ubuntu: apt install python3-venv." >&2; \
+	    exit 1; \
+	  fi; \
+	fi
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@touch $@

@@ -1,0 +1,58 @@
+"""Writes docs/cli.md from the command line itself: `python docs/make_cli_reference.py`. A test holds the two equal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from binocal.cli.verbs import app
+
+PATH = Path(__file__).with_name("cli.md")
+HEAD = """# Command line
+
+Written by `docs/make_cli_reference.py`; change the verbs in `src/binocal/cli/verbs.py` instead of this page.
+
+Results go to stdout, everything else (what was ignored or dropped and why, progress) to stderr. With `--json`,
+stdout holds exactly one document, on errors too: `{"error": {"code": ..., "message": ...}}`. Nothing is overwritten
+without `--force`; a file is there in full or not at all.
+
+| exit code | meaning |
+|---|---|
+| 0 | fine |
+| 1 | failure while running |
+| 2 | usage: an option is wrong |
+| 3 | input unusable; the text names which picture or view, why, and what to do |
+| 4 | finished, but below the quality asked for (`--max-rms`) |
+| 130 | interrupted |
+"""
+
+
+def reference() -> str:
+    """The whole page."""
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    return HEAD + "".join(_section(name, command) for name, command in commands.items())
+
+
+def _section(name: str, command: Any) -> str:
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
+    usage = " ".join(["binocal", name, *(p.metavar or p.name.upper() for p in arguments), "[OPTIONS]"])
+    lines = [f"\n## binocal {name}\n", command.help.strip(), f"\n```\n{usage}\n```\n"]
+    lines += [f"- `{p.metavar or p.name.upper()}`: {p.help}" for p in arguments]
+    for p in options:
+        metavar = "" if p.is_flag else f" {p.metavar}"
+        shown = (
+            f" (default `{_shown(p.default)}`)" if not p.is_flag and p.default is not None and not p.required else ""
+        )
+        lines.append(f"- `{p.opts[0]}{metavar}`{' (required)' if p.required else ''}: {p.help}{shown}")
+    return "\n".join(lines) + "\n"
+
+
+def _shown(value: Any) -> str:
+    return str(getattr(value, "value", value))
+
+
+if __name__ == "__main__":
+    PATH.write_text(reference(), encoding="utf-8")

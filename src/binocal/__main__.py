@@ -1,0 +1,7 @@
+"""``python -m binocal``."""
+
+import sys
+
+from binocal.cli import main
+
+sys.exit(main())

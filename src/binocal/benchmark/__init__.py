@@ -1,0 +1,28 @@
+"""Benchmarks against peers: each runs them in turn in one process and reports medians, spread and failures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+
+def _solver(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.solver import run_solver_benchmark
+
+    return run_solver_benchmark(**options)
+
+
+BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {"solver": _solver}
+
+
+def run(name: str, **options: Any) -> dict[str, Any]:
+    """Run the benchmark of that name and return its table as plain data; ``text`` holds it readable.
+
+    Raises:
+        ValueError: No such benchmark.
+    """
+    try:
+        benchmark = BENCHMARKS[name]
+    except KeyError:
+        raise ValueError(f"unknown benchmark {name!r}; known: {', '.join(BENCHMARKS)}") from None
+    return benchmark(**options)

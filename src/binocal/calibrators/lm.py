@@ -1,0 +1,135 @@
+"""``lm``: closed-form start, view diagnosis, joint robust Levenberg-Marquardt. The classical road, without the agent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from binocal.calibrators import trust
+from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions
+from binocal.calibrators.summary import joint_problem, summarize
+from binocal.detections import Detections
+from binocal.errors import TooFewViewsError
+from binocal.initialization.consistency import Diagnosis, diagnose_views
+from binocal.result import RejectedView, StereoCalibration
+from binocal.solvers import robust
+from binocal.solvers.bundle import BundleEstimate, BundleProblem
+from binocal.solvers.covariance import inliers
+from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
+from binocal.solvers.polish import polish_exact
+
+CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
+MIN_VIEW_INLIER_SHARE = 0.5  # a view most of whose corners in one camera contradict the rest is not an observation of this board
+
+
+def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
+    """Joint maximum-likelihood calibration from a closed-form start (see :class:`binocal.calibrators.base.Calibrator`).
+
+    Deterministic: ``options.seed`` is not used.
+    """
+    diagnosis = diagnose_views(detections, options.model, has_skew=options.skew)
+    rejected = diagnosis.rejected
+    used = np.nonzero(diagnosis.is_used)[0]
+    n_iterations = 0
+    start: BundleEstimate | None = None
+    while True:
+        if len(used) < MIN_VIEWS:
+            raise TooFewViewsError(len(used), MIN_VIEWS, {r.name: r.reason for r in rejected})
+        views = diagnosis.detections.select(used)
+        problem = joint_problem(views, options)
+        start = _start(diagnosis, used) if start is None else start
+        minimum, n = _solve(problem, start)
+        n_iterations += n
+        trust.check_convergence(bool(minimum.is_converged), n_iterations)
+        bad = _misfits(views, problem, minimum)
+        if not bad:
+            break
+        keep = np.array([i not in bad for i in range(len(used))])
+        rejected += tuple(RejectedView(views.names[i], reason) for i, reason in bad.items())
+        start = _take_views(minimum.estimate, keep)
+        used = used[keep]
+
+    calibration = summarize(
+        views,
+        problem,
+        minimum,
+        options,
+        calibrator="lm",
+        rejected=rejected,
+        notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
+        warnings=diagnosis.warnings,
+        n_iterations=n_iterations,
+    )
+    trust.check_fit(
+        views,
+        calibration.noise_px,
+        sum(v.n_outliers for v in calibration.views),
+        sum(v.n_corners for v in calibration.views),
+    )
+    return trust.with_warnings(calibration, minimum.estimate.R_left_board[:, :, 2])
+
+
+def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
+    return BundleEstimate(
+        (diagnosis.left.parameters, diagnosis.right.parameters),
+        diagnosis.R_left_board[used],
+        diagnosis.t_left_board[used],
+        diagnosis.T_right_left.R,
+        diagnosis.T_right_left.t,
+    )
+
+
+def _solve(problem: BundleProblem, start: BundleEstimate) -> tuple[Minimum, int]:
+    """The robust optimum, and the iterations it took.
+
+    The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails, Cauchy's kernel,
+    which never lets go of a corner, starts it a second time, and the lower robust cost wins: falling cost alone does not prove the
+    right minimum.
+    """
+    best = minimize(problem, start, LoopOptions())
+    n_iterations = int(best.n_iterations)
+    n_seen = sum(int(c.is_seen.sum()) for c in problem.cameras)
+    n_used = sum(int(used.sum()) for used in inliers(problem, best))
+    if not best.is_converged or n_used < (1 - CLEAN_OUTLIER_SHARE) * n_seen:
+        loose = minimize(problem, start, LoopOptions(kernel="cauchy", scale_factor=2.0, tolerance_sigma=1.0))
+        other = minimize(problem, loose.estimate, LoopOptions(), scale_px=loose.scale_px / 2)
+        n_iterations += int(loose.n_iterations + other.n_iterations)
+        if _is_better(problem, other, best):
+            best = other
+    return polish_exact(problem, best), n_iterations
+
+
+def _is_better(problem: BundleProblem, a: Minimum, b: Minimum) -> bool:
+    """Converged rather than not, then the lower cost under the smaller scale of the two."""
+    if bool(a.is_converged) != bool(b.is_converged):
+        return bool(a.is_converged)
+    scale = np.minimum(a.scale_px, b.scale_px)
+    costs = [
+        sum(float(robust.costs(e.r2_px2, scale, "hampel").sum()) for e in m.equations.cameras) for m in (a, b)
+    ]
+    return costs[0] < costs[1]
+
+
+def _misfits(views: Detections, problem: BundleProblem, minimum: Minimum) -> dict[int, str]:
+    """Views most of whose corners in a camera got no weight, and why."""
+    bad: dict[int, str] = {}
+    for side, camera, e, used in zip(
+        ("left", "right"), problem.cameras, minimum.equations.cameras, inliers(problem, minimum), strict=True
+    ):
+        n_seen, n_used = camera.is_seen.sum(axis=1), used.sum(axis=1)
+        for i in np.nonzero((n_seen > 0) & (n_used < MIN_VIEW_INLIER_SHARE * n_seen))[0]:
+            typical_px = float(np.sqrt(np.median(e.r2_px2[i][camera.is_seen[i]])))
+            bad[int(i)] = (
+                f"{n_seen[i] - n_used[i]} of {n_seen[i]} {side} corners contradict the other views "
+                f"(typically {typical_px:.1f} px off); check the corner order and that both pictures were taken together"
+            )
+    return bad
+
+
+def _take_views(estimate: BundleEstimate, keep: np.ndarray) -> BundleEstimate:
+    return BundleEstimate(
+        estimate.parameters,
+        estimate.R_left_board[keep],
+        estimate.t_left_board[keep],
+        estimate.R_right_left,
+        estimate.t_right_left,
+    )

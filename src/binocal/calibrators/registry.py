@@ -1,0 +1,28 @@
+"""The calibrators by name. Each entry imports its method only when called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from binocal.calibrators.base import Calibrator
+
+
+def _lm() -> Calibrator:
+    from binocal.calibrators.lm import calibrate_lm
+
+    return calibrate_lm
+
+
+CALIBRATORS: dict[str, Callable[[], Calibrator]] = {"lm": _lm}
+
+
+def load_calibrator(name: str) -> Calibrator:
+    """The calibrator of that name.
+
+    Raises:
+        ValueError: No such calibrator.
+    """
+    try:
+        return CALIBRATORS[name]()
+    except KeyError:
+        raise ValueError(f"unknown calibrator {name!r}; known: {', '.join(CALIBRATORS)}") from None

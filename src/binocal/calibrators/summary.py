@@ -1,0 +1,148 @@
+"""From detections to the joint problem, and from its minimum to the calibration that a user gets.
+
+Shared by every calibrator that ends in the joint problem.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+from binocal import __version__
+from binocal.calibrators.base import CalibrationOptions
+from binocal.cameras import Camera, StereoRig, camera_model
+from binocal.detections import Detections
+from binocal.geometry import SE3, so3
+from binocal.result import (
+    Covariance,
+    OutlierCorner,
+    RejectedView,
+    ResidualSummary,
+    StereoCalibration,
+    ViewResult,
+)
+from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
+from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
+from binocal.solvers.least_squares import Minimum
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+
+def joint_problem(views: Detections, options: CalibrationOptions) -> BundleProblem:
+    """The joint problem of these views."""
+    model = camera_model(options.model)
+    return BundleProblem(
+        np.ascontiguousarray(views.object_points_m.T),
+        tuple(CameraObservations.from_corners(model, px, skew=options.skew) for px in (views.left_px, views.right_px)),
+    )
+
+
+def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> StereoRig:
+    """The rig at an estimate."""
+    R = so3.project_to_rotation(estimate.R_right_left)
+    return StereoRig(
+        Camera(model, detections.left_size_wh, estimate.parameters[0]),
+        Camera(model, detections.right_size_wh, estimate.parameters[1]),
+        SE3(R, estimate.t_right_left),
+        detections.is_metric,
+    )
+
+
+def summarize(
+    detections: Detections,
+    problem: BundleProblem,
+    minimum: Minimum,
+    options: CalibrationOptions,
+    *,
+    calibrator: str,
+    rejected: tuple[RejectedView, ...],
+    notes: Mapping[str, str],
+    warnings: tuple[str, ...],
+    n_iterations: int,
+) -> StereoCalibration:
+    """Rig, covariance, residuals per view, and the corners that were given no weight.
+
+    ``detections`` are the views of ``problem``, in its order; ``notes`` maps a view's name to what was repaired in it.
+
+    Raises:
+        DegenerateGeometryError: The information matrix is singular, or there are fewer measurements than unknowns.
+    """
+    noise_px = residual_noise_px(problem, minimum)
+    covariance = shared_covariance(problem, minimum.estimate, minimum.equations, noise_px)
+    used = inliers(problem, minimum)
+    r2 = [np.where(is_used, e.r2_px2, 0.0) for is_used, e in zip(used, minimum.equations.cameras, strict=True)]
+    views = _view_results(detections, problem, minimum, used, r2, notes)
+    left_px, right_px = (_rms(lengths2.sum(), is_used.sum()) for lengths2, is_used in zip(r2, used, strict=True))
+    all_px = _rms(sum(lengths2.sum() for lengths2 in r2), sum(is_used.sum() for is_used in used))
+    return StereoCalibration(
+        rig=rig_of(minimum.estimate, detections, options.model),
+        covariance=Covariance(shared_names(problem), covariance),
+        rms=ResidualSummary(float(left_px), float(right_px), float(all_px)),
+        noise_px=noise_px,
+        views=views,
+        detections=detections,
+        T_left_board=SE3(so3.project_to_rotation(minimum.estimate.R_left_board), minimum.estimate.t_left_board),
+        rejected=rejected,
+        warnings=(*warnings, *_outlier_warning(views)),
+        n_iterations=n_iterations,
+        provenance={
+            "binocal": __version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "calibrator": calibrator,
+            "model": options.model,
+            "skew": options.skew,
+            "seed": options.seed,
+        },
+    )
+
+
+def _rms(total_px2: Float[ndarray, "*n"], count: Int[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    return np.sqrt(np.where(count > 0, total_px2 / np.maximum(count, 1), np.nan))
+
+
+def _view_results(
+    detections: Detections,
+    problem: BundleProblem,
+    minimum: Minimum,
+    used: tuple[Bool[ndarray, "views n"], ...],
+    inlier_r2: list[Float[ndarray, "views n"]],
+    notes: Mapping[str, str],
+) -> tuple[ViewResult, ...]:
+    outliers: dict[int, list[OutlierCorner]] = {}
+    for side, camera, e, is_used in zip(
+        ("left", "right"), problem.cameras, minimum.equations.cameras, used, strict=True
+    ):
+        for view, corner in np.argwhere(camera.is_seen & ~is_used).tolist():
+            distance_px = float(np.sqrt(e.r2_px2[view, corner]))
+            outliers.setdefault(view, []).append(OutlierCorner(side, corner, distance_px))
+    sums, counts = [r2.sum(axis=1) for r2 in inlier_r2], [is_used.sum(axis=1) for is_used in used]
+    rows = zip(
+        detections.names,
+        _rms(sums[0] + sums[1], counts[0] + counts[1]).tolist(),
+        _rms(sums[0], counts[0]).tolist(),
+        _rms(sums[1], counts[1]).tolist(),
+        sum(c.is_seen.sum(axis=1) for c in problem.cameras).tolist(),
+        strict=True,
+    )
+    return tuple(
+        ViewResult(name, all_px, left_px, right_px, n, tuple(outliers.get(i, ())), notes.get(name, ""))
+        for i, (name, all_px, left_px, right_px, n) in enumerate(rows)
+    )
+
+
+def _outlier_warning(views: tuple[ViewResult, ...]) -> tuple[str, ...]:
+    n_outliers = sum(v.n_outliers for v in views)
+    n_corners = sum(v.n_corners for v in views)
+    if n_outliers <= 0.01 * n_corners:  # a few wild corners are every real set's share
+        return ()
+    view, worst = max(((v, o) for v in views for o in v.outliers), key=lambda pair: pair[1].distance_px)
+    return (
+        f"{n_outliers} of {n_corners} corners ({100 * n_outliers / n_corners:.1f} %) do not fit and were given no weight; "
+        f"the worst is {worst.camera} corner {worst.corner} of view {view.name}, {worst.distance_px:.1f} px off.",
+    )

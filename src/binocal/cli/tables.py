@@ -1,0 +1,231 @@
+"""What a person reads: plain text that is the same on a terminal and in a log. Degrees and millimetres live here."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TruthEvaluation
+from binocal.cameras import StereoRig, camera_model
+from binocal.cli.running import one_line
+from binocal.metrics.pose import ParameterError
+from binocal.result import RejectedView, StereoCalibration
+
+MAX_NAMES = 8  # names of dropped views in one line of the summary; stderr has all of them
+
+
+def list_left_out(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedView], notes: Sequence[str]) -> None:
+    """Everything that was left out, one line each, on stderr."""
+    for path, reason in ignored:
+        print(f"ignored {path}: {one_line(reason)}", file=sys.stderr)
+    for view in rejected:
+        print(f"dropped {view.name}: {one_line(view.reason)}", file=sys.stderr)
+    for note in notes:
+        print(f"note: {one_line(note)}", file=sys.stderr)
+
+
+def calibration_text(
+    run: CalibrationRun, output: Path, opencv: Path | None = None, max_rms_px: float | None = None
+) -> str:
+    """Summary of a calibration: warnings first, then cameras, pair, fit, views."""
+    calibration = run.calibration
+    lines = [f"warning: {one_line(text)}" for text in calibration.warnings]
+    if max_rms_px is not None and not calibration.rms.all_px <= max_rms_px:
+        lines.append(f"warning: the RMS is {calibration.rms.all_px:.3f} px, above --max-rms {max_rms_px:g}.")
+    lines += [""] if lines else []
+    lines += [_cameras_table(calibration), "", _pair_table(calibration), ""]
+    rms = calibration.rms
+    lines.append(f"RMS      {rms.left_px:.3f} px left, {rms.right_px:.3f} px right, {rms.all_px:.3f} px together")
+    lines.append(f"Corners  noise {calibration.noise_px:.3f} px per coordinate, {_outlier_words(calibration)}")
+    lines += _view_lines(calibration)
+    if run.ignored:
+        lines.append(f"Files    {len(run.ignored)} ignored (listed above, on stderr)")
+    if run.elapsed_s:
+        lines.append(
+            f"Time     {run.elapsed_s['pictures']:.2f} s for the pictures, {run.elapsed_s['solve']:.2f} s to solve"
+        )
+    written = f"{output}" if opencv is None else f"{output} and {opencv}"
+    return "\n".join([*lines, f"Wrote    {written}"])
+
+
+def truth_text(evaluation: TruthEvaluation) -> str:
+    """Every parameter beside the truth and the bound, then the paper's figures."""
+    c = evaluation.comparison
+    lines = [f"note: {one_line(note)}" for note in evaluation.notes]
+    lines += [""] if lines else []
+    rows = [_parameter_row(parameter) for parameter in c.parameters]
+    lines.append(format_table(("parameter", "truth", "value", "error", "sigma", "error/bound", ""), rows))
+    lines += ["", *_comparison_lines(evaluation)]
+    return "\n".join(lines)
+
+
+def pictures_text(evaluation: PictureEvaluation, is_metric: bool) -> str:
+    """The criteria that need no truth."""
+    pixel, row, length = evaluation.pixel_error, evaluation.row_error, evaluation.length_error
+    lines = [f"note: {one_line(note)}" for note in evaluation.notes]
+    lines += [""] if lines else []
+    rows = [
+        (
+            "pixel error (RMS, eq. 19)",
+            f"{pixel.all_px:.3f} px",
+            f"left {pixel.left_px:.3f}, right {pixel.right_px:.3f}",
+        ),
+    ]
+    if row is not None:
+        rows.append(("rectified row error (RMS)", f"{row.rms_px:.3f} px", f"median {row.median_px:+.3f}"))
+    against = "" if is_metric else ", in board pitches"
+    rows += [
+        (
+            "relative length error (RMS)",
+            f"{length.scale_rms_percent:.4f} %",
+            f"mean {length.scale_mean_percent:+.4f}, {length.n_views} views{against}",
+        ),
+        ("error of a single side (RMS)", f"{length.side_rms_percent:.3f} %", f"{length.n_sides} sides"),
+    ]
+    lines.append(format_table(("criterion", "", ""), rows, align="lrl"))
+    return "\n".join([*lines, *_rejected_lines(evaluation.rejected, len(evaluation.names))])
+
+
+def demo_text(cases: Sequence[DemoCase], output: Path) -> str:
+    """Both boards side by side with the truth."""
+    lines = []
+    for case in cases:
+        n_views = len(case.run.calibration.views)
+        lines += [
+            f"{case.name} board: {n_views} pairs, RMS {case.run.calibration.rms.all_px:.3f} px, corner noise "
+            f"{case.run.calibration.noise_px:.4f} px",
+            *(f"warning: {one_line(text)}" for text in case.run.calibration.warnings),
+            "",
+            truth_text(case.evaluation),
+            f"relative length error     {case.length_error.scale_rms_percent:.4f} % "
+            f"({case.length_error.n_views} new views)",
+            f"time                      {case.run.elapsed_s['pictures']:.2f} s for the pictures, "
+            f"{case.run.elapsed_s['solve']:.2f} s to solve",
+            "",
+        ]
+    return "\n".join([*lines, f"Wrote pictures, truth.json and rig.json of both boards into {output}"])
+
+
+def format_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align: str = "") -> str:
+    """Aligned columns, two blanks apart; ``align`` has l or r per column (first left, others right unless given)."""
+    align = align or "l" + "r" * (len(header) - 1)
+    table = [tuple(header), *(tuple(row) for row in rows)] if any(header) else [tuple(row) for row in rows]
+    widths = [max(len(row[i]) for row in table) for i in range(len(align))]
+    lines = [
+        "  ".join(cell.ljust(w) if a == "l" else cell.rjust(w) for cell, w, a in zip(row, widths, align, strict=True))
+        for row in table
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """``1600.123 ± 0.045``: the value to the digits that its standard deviation leaves meaningful."""
+    if not math.isfinite(value):
+        return "unknown"
+    if not (math.isfinite(sigma) and sigma > 0):
+        return f"{value:.6g}"
+    digits = min(12, max(0, 1 - math.floor(math.log10(sigma))))
+    return f"{value:.{digits}f} ± {sigma:.{digits}f}"
+
+
+def _cameras_table(calibration: StereoCalibration) -> str:
+    rig, sigma = calibration.rig, calibration.covariance.sigma
+    names = list(camera_model(rig.left.model).parameter_names)
+    names += [name for name in camera_model(rig.right.model).parameter_names if name not in names]
+    rows = []
+    for name in names:
+        cells = []
+        for side, camera in (("left", rig.left), ("right", rig.right)):
+            values = dict(zip(camera_model(camera.model).parameter_names, camera.parameters.tolist(), strict=True))
+            cells.append(with_sigma(values[name], sigma.get(f"{side}.{name}", math.nan)) if name in values else "")
+        if name == "skew" and not any(rig_side.parameters[4] for rig_side in (rig.left, rig.right)):
+            continue
+        rows.append((name, "px" if name in ("fx", "fy", "cx", "cy", "skew") else "", *cells))
+    models = rig.left.model if rig.left.model == rig.right.model else f"{rig.left.model}, {rig.right.model}"
+    return format_table((models, "", "left", "right"), rows, align="llrr")
+
+
+def _pair_table(calibration: StereoCalibration) -> str:
+    rig, sigma = calibration.rig, calibration.covariance.sigma
+    angles_deg, angle_sigmas_deg = np.degrees(rig.euler_rad), np.degrees(calibration.euler_sigma_rad)
+    rows = [
+        (name, "deg", with_sigma(value, s))
+        for name, value, s in zip(
+            ("gamma", "lambda", "mu"), angles_deg.tolist(), angle_sigmas_deg.tolist(), strict=True
+        )
+    ]
+    unit, factor = length_unit(rig)
+    for axis, value in zip("xyz", rig.T_right_left.t.tolist(), strict=True):
+        rows.append(
+            (f"t.{axis}", unit, with_sigma(factor * value, factor * sigma.get(f"translation.{axis}", math.nan)))
+        )
+    rows.append(("baseline", unit, with_sigma(factor * rig.baseline_m, factor * calibration.baseline_sigma_m)))
+    return format_table(("left to right", "", ""), rows, align="llr")
+
+
+def length_unit(rig: StereoRig) -> tuple[str, float]:
+    """The unit to print lengths in, and the factor to it: millimetres, or squares where the scale is unknown."""
+    return ("mm", 1e3) if rig.is_metric else ("squares", 1.0)
+
+
+def _outlier_words(calibration: StereoCalibration) -> str:
+    n_outliers = sum(view.n_outliers for view in calibration.views)
+    n_corners = sum(view.n_corners for view in calibration.views)
+    return f"{n_outliers} of {n_corners} left out as outliers"
+
+
+def _view_lines(calibration: StereoCalibration) -> list[str]:
+    lines = _rejected_lines(calibration.rejected, len(calibration.views))
+    worst = sorted((v for v in calibration.views if math.isfinite(v.rms_px)), key=lambda v: -v.rms_px)[:3]
+    if worst:
+        lines.append("Worst    " + ", ".join(f"{view.name} {view.rms_px:.3f} px" for view in worst))
+    lines += [f"         view {view.name}: {one_line(view.note)}" for view in calibration.views if view.note]
+    return lines
+
+
+def _rejected_lines(rejected: Sequence[RejectedView], n_used: int) -> list[str]:
+    lines = [f"Views    {n_used} used, {len(rejected)} dropped"]
+    by_reason: dict[str, list[str]] = defaultdict(list)
+    for view in rejected:
+        by_reason[one_line(view.reason)].append(view.name)
+    for reason, names in by_reason.items():
+        shown = ", ".join(names[:MAX_NAMES]) + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
+        lines.append(f"         {shown}: {reason}")
+    return lines
+
+
+def _parameter_row(p: ParameterError) -> tuple[str, ...]:
+    """Rotation in degrees, translation in millimetres, everything else in its own unit."""
+    block = p.name.partition(".")[0]
+    factor = {"rotation": 180 / math.pi, "translation": 1e3}.get(block, 1.0)
+    unit = {"rotation": " deg", "translation": " mm"}.get(block, "")
+    if not unit and p.name.rpartition(".")[2] in ("fx", "fy", "cx", "cy", "skew"):
+        unit = " px"
+    sigma = factor * p.sigma
+    digits = min(10, max(2, 2 - math.floor(math.log10(sigma)))) if math.isfinite(sigma) and sigma > 0 else 5
+    return (
+        p.name + unit,
+        f"{factor * p.truth:.{digits}f}",
+        f"{factor * p.value:.{digits}f}",
+        f"{factor * p.error:+.{digits}f}",
+        f"{sigma:.{digits}f}" if math.isfinite(sigma) else "-",
+        f"{p.error_per_bound:+.2f}" if math.isfinite(p.error_per_bound) else "-",
+        "" if p.is_correct else "off",
+    )
+
+
+def _comparison_lines(evaluation: TruthEvaluation) -> list[str]:
+    c = evaluation.comparison
+    bound = f"(bound {c.rotation_bound_deg:.4f})" if c.has_bound else "(no bound)"
+    translation_bound = f"(bound {c.translation_bound_mm:.4f})" if c.has_bound else "(no bound)"
+    return [
+        f"rotation error            {c.rotation_error_deg:.4f} deg {bound}",
+        f"translation error         {c.translation_error_mm:.4f} mm {translation_bound}",
+        f"baseline error            {c.baseline_error_mm:+.4f} mm",
+        f"parameter accuracy (20)   {c.parameter_accuracy_percent:.0f} % ({c.n_correct} of {len(c.parameters)})",
+    ]

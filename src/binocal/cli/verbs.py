@@ -1,0 +1,253 @@
+"""The verbs as typer commands. Each parses, calls :mod:`binocal.app`, presents, and returns an exit code."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from binocal import __version__
+from binocal.cli.running import BELOW_QUALITY, FINE
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Stereo-camera calibration that measures depth and says how far the depth can be trusted.",
+    epilog="Exit codes: 0 fine, 1 failure while running, 2 usage, 3 input unusable, 4 finished but below the quality "
+    "asked for, 130 interrupted.",
+)
+
+
+class Model(enum.StrEnum):
+    """Camera models; a test holds them equal to the registry, which is too heavy to import here."""
+
+    auto = "auto"
+    brown4 = "brown4"
+    brown5 = "brown5"
+    brown8 = "brown8"
+    fisheye4 = "fisheye4"
+
+
+MODELS = "|".join(Model)
+BOARD_HELP = (
+    "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
+    "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, or a YAML file. "
+    "A length without mm, cm, m or in leaves the scale unknown."
+)
+Left = Annotated[str, typer.Option("--left", help="Left pictures: a glob in quotes, or a folder.", metavar="GLOB")]
+Right = Annotated[str, typer.Option("--right", help="Right pictures, paired with the left by name.", metavar="GLOB")]
+BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
+Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout, on errors too.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.", metavar="N", min=0)]
+
+
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
+        print(f"binocal {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and leave.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def demo(
+    output: Annotated[
+        Path, typer.Option("--output", help="Folder for pictures, rig.json and truth.json.", metavar="DIR")
+    ] = Path("binocal-demo"),
+    seed: Seed = 0,
+    force: Force = False,
+    json: Json = False,
+) -> int:
+    """Render the paper's rig with two boards, calibrate it from the pictures, and compare with the truth."""
+    from binocal import app as verbs
+    from binocal.cli import documents, tables
+    from binocal.cli.progress import progress_on_terminal
+
+    verbs.check_output_folder(output, force=force)
+    with progress_on_terminal() as progress:
+        cases = verbs.demo(output, seed=seed, force=force, progress=progress)
+    _present(documents.demo_document(cases), tables.demo_text(cases, output), json)
+    return FINE
+
+
+@app.command()
+def calibrate(
+    left: Left,
+    right: Right,
+    board: BoardSpec,
+    output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
+        "rig.json"
+    ),
+    calibrator: Annotated[str, typer.Option("--calibrator", help="Method.", metavar="NAME")] = "lm",
+    model: Annotated[
+        Model, typer.Option("--model", help="Camera model; auto picks by held-out error.", metavar=MODELS)
+    ] = Model.auto,
+    skew: Annotated[bool, typer.Option("--skew", help="Estimate the skew of both cameras.")] = False,
+    preprocess: Annotated[
+        bool, typer.Option("--preprocess", help="Filter the pictures and strengthen their edges first.")
+    ] = False,
+    seed: Seed = 0,
+    max_rms: Annotated[
+        float | None, typer.Option("--max-rms", help="Exit with 4 if the RMS is above.", metavar="PX", min=0.0)
+    ] = None,
+    opencv: Annotated[
+        Path | None,
+        typer.Option("--opencv", help="Also write OpenCV YAML: a .yml file, or a folder for two.", metavar="PATH"),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> int:
+    """Calibrate a stereo rig from pictures of a board."""
+    from binocal import app as verbs
+    from binocal.cli import documents, tables
+    from binocal.cli.progress import progress_on_terminal
+    from binocal.formats import native
+    from binocal.formats.files import check_output
+    from binocal.formats.opencv_yaml import check_opencv_output, write_opencv
+
+    parsed = _parse_board(board)
+    _check_calibrator(calibrator)
+    if opencv is not None and skew:
+        raise typer.BadParameter("OpenCV's functions ignore skew; leave out --skew or --opencv.")
+    check_output(output, force=force)
+    if opencv is not None:
+        check_opencv_output(opencv, force=force)
+    options = verbs.CalibrateOptions(calibrator, model.value, skew, preprocess, seed)
+    with progress_on_terminal() as progress:
+        run = verbs.calibrate_pictures(left, right, parsed, options, progress=progress)
+    tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
+    native.write_calibration(output, run.calibration, force=force)
+    if opencv is not None:
+        write_opencv(opencv, run.calibration.rig, force=force)
+    is_good = max_rms is None or run.calibration.rms.all_px <= max_rms
+    document = documents.calibration_run_document(run, output, max_rms)
+    _present(document, tables.calibration_text(run, output, opencv, max_rms), json)
+    return FINE if is_good else BELOW_QUALITY
+
+
+@app.command()
+def simulate(
+    board: BoardSpec,
+    pairs: Annotated[int, typer.Option("--pairs", help="Number of picture pairs.", metavar="N", min=1)],
+    output: Annotated[Path, typer.Option("--output", help="Folder for the pictures and truth.json.", metavar="DIR")],
+    rig: Annotated[
+        str, typer.Option("--rig", help="table2 (the paper's rig), or a rig.json.", metavar="NAME")
+    ] = "table2",
+    blur: Annotated[
+        float, typer.Option("--blur", help="Blur of the lens, sigma in pixels.", metavar="PX", min=0.0)
+    ] = 0.8,
+    noise: Annotated[
+        float, typer.Option("--noise", help="Sensor noise, grey levels of 255.", metavar="DN", min=0.0)
+    ] = 3.0,
+    seed: Seed = 0,
+    force: Force = False,
+    json: Json = False,
+) -> int:
+    """Render pictures of a board as a rig sees it, with the exact truth beside them."""
+    from binocal import app as verbs
+    from binocal.cli.progress import progress_on_terminal
+    from binocal.formats import native
+
+    parsed = _parse_board(board)
+    if not parsed.is_metric:
+        raise typer.BadParameter("a simulated board needs its size: give the length a unit, such as 20mm.")
+    verbs.check_output_folder(output, force=force)
+    options = verbs.SimulateOptions(blur, noise, seed)
+    if rig == "table2":
+        from binocal.simulation import table2_rig
+
+        true_rig = table2_rig()
+    else:
+        true_rig = native.read_rig(rig)
+    with progress_on_terminal() as progress:
+        truth = verbs.simulate(true_rig, parsed, pairs, output, options, force=force, progress=progress)
+    text = f"{len(truth.names)} pairs and truth.json in {output}"
+    _present(native.truth_document(truth) | {"output": str(output)}, text, json)
+    return FINE
+
+
+@app.command()
+def evaluate(
+    rig: Annotated[Path, typer.Argument(help="The calibration to judge.", metavar="RIG.JSON")],
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="truth.json of the simulation.", metavar="TRUTH.JSON")
+    ] = None,
+    left: Annotated[str | None, typer.Option("--left", help="Held-out left pictures.", metavar="GLOB")] = None,
+    right: Annotated[str | None, typer.Option("--right", help="Held-out right pictures.", metavar="GLOB")] = None,
+    board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    json: Json = False,
+) -> int:
+    """Judge a rig by the paper's criteria, against the truth or on pictures that it has not seen."""
+    from binocal import app as verbs
+    from binocal.cli import documents, tables
+    from binocal.cli.progress import progress_on_terminal
+    from binocal.formats import native
+
+    on_pictures = (left, right, board)
+    if (truth is None) == (on_pictures == (None, None, None)) or (truth is None and None in on_pictures):
+        raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
+    if truth is not None:
+        against_truth = verbs.evaluate_truth(native.read_calibration(rig), native.read_truth(truth))
+        _present(documents.truth_document(against_truth), tables.truth_text(against_truth), json)
+        return FINE
+    read = native.read_rig(rig)
+    with progress_on_terminal() as progress:
+        on_held_out = verbs.evaluate_pictures(read, str(left), str(right), _parse_board(str(board)), progress=progress)
+    tables.list_left_out(on_held_out.ignored, on_held_out.rejected, on_held_out.notes)
+    _present(documents.pictures_document(on_held_out), tables.pictures_text(on_held_out, read.is_metric), json)
+    return FINE
+
+
+@app.command()
+def bench(
+    name: Annotated[str, typer.Argument(help="Which benchmark, such as solver.", metavar="NAME")],
+    seed: Seed = 0,
+    json: Json = False,
+) -> int:
+    """Measure binocal against the peers that are installed on this machine."""
+    from binocal.benchmark import run
+
+    try:
+        table = run(name, seed=seed)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    _present({key: value for key, value in table.items() if key != "text"}, table["text"], json)
+    return FINE
+
+
+def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
+    if as_json:
+        from binocal.formats.native import dump_json, jsonable
+
+        print(dump_json(jsonable(document)), end="")
+    else:
+        print(text)
+
+
+def _parse_board(spec: str) -> Any:
+    from binocal.boards import load_board
+
+    try:
+        return load_board(spec)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _check_calibrator(name: str) -> None:
+    from binocal.calibrators import CALIBRATORS
+
+    if name not in CALIBRATORS:
+        raise typer.BadParameter(f"unknown calibrator {name!r}; known: {', '.join(CALIBRATORS)}")

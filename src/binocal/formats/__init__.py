@@ -1,0 +1,1 @@
+"""Files to and from calibrations; every foreign convention is converted here."""

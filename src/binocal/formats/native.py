@@ -1,0 +1,364 @@
+"""binocal's own files, schema ``binocal/1``: ``rig.json`` (a calibration), ``truth.json`` (a simulated rig, its views).
+
+Full precision (the shortest text that reads back to the same number), no NaN: an unknown number is ``null``.
+Lengths are in the file's ``unit``: metres, or board pitches where the board's size was not known.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binocal.boards import Board, format_board, parse_board
+from binocal.cameras import CAMERA_MODELS, Camera, StereoRig
+from binocal.errors import FormatError
+from binocal.formats.files import write_aside
+from binocal.geometry import SE3
+from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+
+SCHEMA = "binocal/1"
+UNITS = {True: "m", False: "board pitch"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What a simulation knows of its pictures: the rig, the board, and where the board stood in every view.
+
+    ``noise_dn`` (grey levels) and ``blur_px`` say how the pictures were rendered; NaN where there are none.
+    """
+
+    rig: StereoRig
+    board: Board
+    names: tuple[str, ...]
+    T_left_board: SE3
+    noise_dn: float = math.nan
+    blur_px: float = math.nan
+
+    def __post_init__(self) -> None:
+        if self.T_left_board.t.shape != (len(self.names), 3):
+            raise ValueError(f"{len(self.names)} names for board poses of shape {self.T_left_board.t.shape}")
+
+
+def rig_document(rig: StereoRig) -> dict[str, Any]:
+    """The keys that every binocal file shares: cameras, R, T, baseline, the paper's angles in degrees."""
+    gamma, lambda_, mu = np.degrees(rig.euler_rad).tolist()
+    return {
+        "schema": SCHEMA,
+        "unit": UNITS[rig.is_metric],
+        "left": _camera_document(rig.left),
+        "right": _camera_document(rig.right),
+        "R": rig.T_right_left.R.tolist(),
+        "T": rig.T_right_left.t.tolist(),
+        "baseline_m": rig.baseline_m,
+        "euler_deg": {"gamma": gamma, "lambda": lambda_, "mu": mu},
+    }
+
+
+def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
+    """``rig.json`` as a dictionary that holds only what JSON can say."""
+    return jsonable(
+        rig_document(calibration.rig)
+        | {
+            "rms_px": {
+                "left": calibration.rms.left_px,
+                "right": calibration.rms.right_px,
+                "all": calibration.rms.all_px,
+            },
+            "noise_px": calibration.noise_px,
+            "sigma": calibration.covariance.sigma,
+            "euler_sigma_deg": dict(
+                zip(("gamma", "lambda", "mu"), np.degrees(calibration.euler_sigma_rad).tolist(), strict=True)
+            ),
+            "baseline_sigma_m": calibration.baseline_sigma_m,
+            "covariance": {"names": calibration.covariance.names, "matrix": calibration.covariance.matrix},
+            "views": [
+                {
+                    "name": view.name,
+                    "rms_px": view.rms_px,
+                    "left_rms_px": view.left_rms_px,
+                    "right_rms_px": view.right_rms_px,
+                    "n_corners": view.n_corners,
+                    "n_outliers": view.n_outliers,
+                    "outliers": view.outliers,
+                    "note": view.note,
+                }
+                for view in calibration.views
+            ],
+            "rejected": [{"name": view.name, "reason": view.reason} for view in calibration.rejected],
+            "warnings": calibration.warnings,
+            "n_iterations": calibration.n_iterations,
+            "provenance": calibration.provenance,
+        }
+    )
+
+
+def truth_document(truth: Truth) -> dict[str, Any]:
+    """``truth.json`` as a dictionary that holds only what JSON can say."""
+    return jsonable(
+        rig_document(truth.rig)
+        | {
+            "board": format_board(truth.board),
+            "views": [
+                {"name": name, "R": R, "T": t}
+                for name, R, t in zip(truth.names, truth.T_left_board.R, truth.T_left_board.t, strict=True)
+            ],
+            "noise_dn": truth.noise_dn,
+            "blur_px": truth.blur_px,
+        }
+    )
+
+
+def write_calibration(path: str | Path, calibration: StereoCalibration, *, force: bool = False) -> None:
+    """Write ``rig.json``, aside and then renamed.
+
+    Raises:
+        OutputExistsError: The file is there and ``force`` is False.
+        DataError: The file cannot be written.
+    """
+    write_aside(path, dump_json(calibration_document(calibration)), force=force)
+
+
+def write_truth(path: str | Path, truth: Truth, *, force: bool = False) -> None:
+    """Write ``truth.json``, aside and then renamed. Raises as :func:`write_calibration`."""
+    write_aside(path, dump_json(truth_document(truth)), force=force)
+
+
+def read_rig(path: str | Path) -> StereoRig:
+    """The rig of a ``rig.json`` or ``truth.json``; nothing but the rig's own keys is looked at.
+
+    Raises:
+        FormatError: The file cannot be read, or a key is missing or not what it should be; the text names file and key.
+    """
+    return _parse_rig(_load(path))
+
+
+def read_calibration(path: str | Path) -> StereoCalibration:
+    """The calibration of a ``rig.json``; ``null`` becomes NaN. Raises as :func:`read_rig`."""
+    top = _load(path)
+    rms = top.mapping("rms_px")
+    covariance = top.mapping("covariance")
+    names = tuple(covariance.texts("names"))
+    matrix = covariance.array("matrix", (len(names), len(names)), allow_null=True)
+    return StereoCalibration(
+        rig=_parse_rig(top),
+        covariance=Covariance(names, matrix),
+        rms=ResidualSummary(*(rms.number(key, allow_null=True) for key in ("left", "right", "all"))),
+        noise_px=top.number("noise_px", allow_null=True),
+        views=tuple(
+            ViewResult(
+                name=view.text("name"),
+                rms_px=view.number("rms_px", allow_null=True),
+                left_rms_px=view.number("left_rms_px", allow_null=True),
+                right_rms_px=view.number("right_rms_px", allow_null=True),
+                n_corners=view.integer("n_corners"),
+                outliers=tuple(
+                    OutlierCorner(corner.text("camera"), corner.integer("corner"), corner.number("distance_px"))
+                    for corner in view.mappings("outliers")
+                ),
+                note=view.text("note"),
+            )
+            for view in top.mappings("views")
+        ),
+        rejected=tuple(RejectedView(view.text("name"), view.text("reason")) for view in top.mappings("rejected")),
+        warnings=tuple(top.texts("warnings")),
+        n_iterations=top.integer("n_iterations"),
+        provenance=top.mapping("provenance").value,
+    )
+
+
+def read_truth(path: str | Path) -> Truth:
+    """The truth that a simulation wrote. Raises as :func:`read_rig`."""
+    top = _load(path)
+    views = top.mappings("views")
+    try:
+        board = parse_board(top.text("board"))
+    except ValueError as error:
+        raise FormatError(path, f"key 'board': {error}") from None
+    R = np.array([view.array("R", (3, 3)) for view in views]).reshape(-1, 3, 3)
+    t = np.array([view.array("T", (3,)) for view in views]).reshape(-1, 3)
+    try:
+        T_left_board = SE3(R, t)
+    except ValueError:
+        raise FormatError(path, "key 'views': an R is not a rotation matrix") from None
+    return Truth(
+        rig=_parse_rig(top),
+        board=board,
+        names=tuple(view.text("name") for view in views),
+        T_left_board=T_left_board,
+        noise_dn=top.number("noise_dn", allow_null=True),
+        blur_px=top.number("blur_px", allow_null=True),
+    )
+
+
+def dump_json(document: Mapping[str, Any]) -> str:
+    """JSON text of a document, one line per top-level key and per item of a list of records; NaN is an error."""
+    lines = []
+    for key, value in document.items():
+        if isinstance(value, Sequence) and value and isinstance(value[0], Mapping):
+            items = ",\n".join(f"    {json.dumps(item, allow_nan=False, ensure_ascii=False)}" for item in value)
+            text = f"[\n{items}\n  ]"
+        else:
+            text = json.dumps(value, allow_nan=False, ensure_ascii=False)
+        lines.append(f"  {json.dumps(key, ensure_ascii=False)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _camera_document(camera: Camera) -> dict[str, Any]:
+    fx, fy, cx, cy, skew = camera.parameters[:5].tolist()
+    return {
+        "model": camera.model,
+        "image_size": list(camera.size_wh),
+        "fx": fx,
+        "fy": fy,
+        "cx": cx,
+        "cy": cy,
+        "skew": skew,
+        "distortion": camera.distortion.tolist(),
+    }
+
+
+def jsonable(value: Any) -> Any:
+    """The value in JSON's own types; what is not finite becomes None, a dataclass a dictionary."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: jsonable(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, np.ndarray):
+        return jsonable(value.tolist())
+    if isinstance(value, np.generic):
+        return jsonable(value.item())
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, Sequence | set | frozenset):
+        return [jsonable(item) for item in value]
+    return str(value)
+
+
+@dataclass(frozen=True, slots=True)
+class _Node:
+    """A JSON object that knows its file and its place in it, so that every complaint can name them."""
+
+    path: Path
+    place: str
+    value: Mapping[str, Any]
+
+    def _get(self, key: str, expected: str) -> Any:
+        if key not in self.value:
+            raise FormatError(self.path, f"key '{self.place}{key}' is missing; expected {expected}")
+        return self.value[key]
+
+    def _fail(self, key: str, expected: str) -> FormatError:
+        shown = json.dumps(self.value.get(key))
+        return FormatError(self.path, f"key '{self.place}{key}': expected {expected}, got {shown[:60]}")
+
+    def number(self, key: str, *, allow_null: bool = False) -> float:
+        expected = "a number or null" if allow_null else "a number"
+        value = self._get(key, expected)
+        if value is None and allow_null:
+            return math.nan
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self._fail(key, expected)
+        return float(value)
+
+    def integer(self, key: str) -> int:
+        value = self._get(key, "a whole number")
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self._fail(key, "a whole number")
+        return value
+
+    def text(self, key: str) -> str:
+        value = self._get(key, "a text")
+        if not isinstance(value, str):
+            raise self._fail(key, "a text")
+        return value
+
+    def texts(self, key: str) -> list[str]:
+        value = self._get(key, "a list of texts")
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise self._fail(key, "a list of texts")
+        return value
+
+    def mapping(self, key: str) -> _Node:
+        value = self._get(key, "an object")
+        if not isinstance(value, dict):
+            raise self._fail(key, "an object")
+        return _Node(self.path, f"{self.place}{key}.", value)
+
+    def mappings(self, key: str) -> list[_Node]:
+        value = self._get(key, "a list of objects")
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            raise self._fail(key, "a list of objects")
+        return [_Node(self.path, f"{self.place}{key}[{i}].", item) for i, item in enumerate(value)]
+
+    def array(self, key: str, shape: tuple[int, ...] | None, *, allow_null: bool = False) -> np.ndarray:
+        words = "numbers" if shape is None else f"{'x'.join(map(str, shape))} numbers"
+        value = self._get(key, words)
+        if allow_null:
+            value = _null_to_nan(value)
+        try:
+            array = np.array(value)
+        except ValueError:
+            raise self._fail(key, words) from None
+        if array.size == 0 and (shape is None or 0 in shape):
+            return np.zeros(shape or 0)
+        is_numeric = array.dtype.kind in "if" and (allow_null or np.all(np.isfinite(array)))
+        if not is_numeric or (array.shape != shape if shape is not None else array.ndim != 1):
+            raise self._fail(key, words)
+        return array.astype(float)
+
+
+def _null_to_nan(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_null_to_nan(item) for item in value]
+    return math.nan if value is None else value
+
+
+def _load(path: str | Path) -> _Node:
+    path = Path(path)
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FormatError(path, "no such file") from None
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise FormatError(path, f"is not JSON: {error}") from None
+    if not isinstance(value, dict) or "schema" not in value:
+        raise FormatError(path, f"is not a binocal file: key 'schema' is missing; expected \"{SCHEMA}\"")
+    if value["schema"] != SCHEMA:
+        raise FormatError(path, f"key 'schema': expected \"{SCHEMA}\", got {json.dumps(value['schema'])[:60]}")
+    return _Node(path, "", value)
+
+
+def _parse_camera(node: _Node) -> Camera:
+    model = node.text("model")
+    if model not in CAMERA_MODELS:
+        raise node._fail("model", f"one of {', '.join(CAMERA_MODELS)}")
+    size = node.array("image_size", (2,))
+    linear = [node.number(key) for key in ("fx", "fy", "cx", "cy", "skew")]
+    distortion = node.array("distortion", (CAMERA_MODELS[model].n_parameters - 5,))
+    try:
+        return Camera(model, (int(size[0]), int(size[1])), np.r_[linear, distortion])
+    except ValueError as error:
+        raise FormatError(node.path, f"key '{node.place.rstrip('.')}': {error}") from None
+
+
+def _parse_rig(top: _Node) -> StereoRig:
+    left, right = _parse_camera(top.mapping("left")), _parse_camera(top.mapping("right"))
+    R, t = top.array("R", (3, 3)), top.array("T", (3,))
+    unit = top.value.get("unit", "m")
+    if unit not in UNITS.values():
+        raise top._fail("unit", '"m" or "board pitch"')
+    try:
+        T_right_left = SE3(R, t)
+    except ValueError:
+        raise top._fail("R", "a rotation matrix") from None
+    return StereoRig(left, right, T_right_left, unit == "m")

@@ -1,0 +1,484 @@
+"""What is wrong with the views, by name: repaired where the repair is certain, rejected where not, refused where nothing is left.
+
+Order of the checks: each camera's corners (inside the picture, on a grid, spread), the resolution of left against right, each camera's
+geometry (degenerate sets), then the two cameras against each other (corner order, shifts, pairing), and last the rig as a whole.
+Thresholds compare with what the data itself shows (robust medians, covariances), never with one kind of rig.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.detections import Detections
+from binocal.errors import DataError, DegenerateGeometryError, InconsistentViewsError, TooFewViewsError
+from binocal.geometry import SE3
+from binocal.geometry.homography import (
+    COINCIDENT,
+    COLLINEAR,
+    GOOD,
+    MIN_POINTS,
+    UNFIT,
+    HomographyFit,
+    fit_homographies,
+)
+from binocal.initialization.intrinsics import InitialCamera, estimate_intrinsics
+from binocal.initialization.poses import BoardPoses, select_poses
+from binocal.initialization.relative_pose import Consensus, estimate_relative_pose, transfer_px
+from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, transposed_order
+from binocal.initialization.vanishing_points import check_orientations
+from binocal.result import RejectedView
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+MIN_VIEWS = 3  # two leave the principal point to chance
+_OFF_GRID = 0.5  # robust sigma of a homography over the corner spacing; 200° fisheyes reach 0.3, a wrong order 1 and more
+_MOST = 0.6  # share of views that makes a fault the set's, not the view's
+_OUTSIDE_PX = 2.0
+_MAX_SHIFT = 3
+_MAX_SIGMA_LOG_FOCAL = 0.5  # six views tilted by 12° reach 0.37, twenty tilted by 1° start at 0.65
+_SHARED_FOCAL = 0.03  # sigma of log f beyond which the other camera's focal length is consulted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """The views as they can be used, and a start for the joint solver.
+
+    ``detections`` are the input with repaired corner orders (rejected views still in place); ``is_used`` marks the views to
+    calibrate from, ``rejected`` says why for the others, ``notes`` has a sentence for each repaired view ("" for the rest) and
+    ``warnings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and weights belong to the
+    corners as they were given, ``R_left_board`` and ``t_left_board`` (NaN where unused) to the repaired ones. ``left_weights`` and
+    ``right_weights`` in [0, 1] tell how far the start trusts each repaired corner.
+    """
+
+    detections: Detections
+    is_used: Bool[ndarray, "views"]
+    rejected: tuple[RejectedView, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+    left: InitialCamera
+    right: InitialCamera
+    T_right_left: SE3
+    R_left_board: Float[ndarray, "views 3 3"]
+    t_left_board: Float[ndarray, "views 3"]
+    left_weights: Float[ndarray, "views n"]
+    right_weights: Float[ndarray, "views n"]
+    rms_px: float
+    """Median over views of the RMS distance at the start, both cameras."""
+
+
+def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: bool = False) -> Diagnosis:
+    """Check the views, repair or reject the bad ones, and start both cameras, T_right_left and the board poses in closed form.
+
+    Raises:
+        DataError: Corners lie outside the picture, or at another resolution than it.
+        InconsistentViewsError: Corner order, board size or pairing are wrong in most views.
+        DegenerateGeometryError: The views leave the intrinsics undetermined.
+        TooFewViewsError: Fewer than 3 pairs remain; ``rejected`` says why.
+    """
+    reasons: dict[int, str] = {}
+    pixels = [detections.left_px, detections.right_px]
+    sizes = [detections.left_size_wh, detections.right_size_wh]
+    points = detections.object_points_m
+    fits = []
+    for camera, px, size in zip(("left", "right"), pixels, sizes, strict=True):
+        fit = fit_homographies(points, px)
+        _check_inside(camera, px, size, fit, detections.names)
+        _check_grid(camera, points, px, fit, detections.names, reasons)
+        fits.append(fit)
+    if not np.any(fits[0].is_valid | fits[1].is_valid):
+        _require(0, detections, reasons)
+    _check_resolution(pixels, sizes, fits)
+
+    keep = np.ones(detections.n_views, dtype=bool)
+    keep[list(reasons)] = False
+    fits = [_without(fit, ~keep) for fit in fits]
+    seen = [fit.is_valid for fit in fits]
+    for view in np.flatnonzero(keep & ~seen[0] & ~seen[1]):
+        reasons[int(view)] = "no corners in either camera"
+    for side in range(2):
+        _require(int(seen[side].sum()), detections, reasons)
+    cameras = [
+        estimate_intrinsics(points, pixels[k], sizes[k], model, has_skew=has_skew, homographies=fits[k]) for k in range(2)
+    ]
+    for k, camera in enumerate(("left", "right")):
+        _check_degeneracy(camera, cameras[k], points)
+    cameras = _share_focal(cameras, fits, points, pixels, sizes, model, has_skew)
+    size_warnings = [_check_size(camera, cameras[k], pixels[k]) for k, camera in enumerate(("left", "right"))]
+    _require(int(np.sum(cameras[0].is_usable & cameras[1].is_usable)), detections, reasons)
+
+    consensus, symmetries = _find_consensus(cameras, detections)
+    notes = [""] * detections.n_views
+    repaired = [px.copy() for px in pixels]
+    weights = [camera.weights.copy() for camera in cameras]
+    R, t = consensus.R_left_board.copy(), consensus.t_left_board.copy()
+    for view in np.flatnonzero(consensus.symmetry >= 0):
+        if not consensus.agrees[view]:
+            reasons[int(view)] = _explain(int(view), consensus, cameras, points)
+        elif consensus.symmetry[view] > 0:
+            k = int(consensus.symmetry[view])
+            side = _culprit(int(view), k, consensus, cameras)
+            applied = k if side == 1 else symmetries.inverse_of(k)
+            repaired[side][view] = repaired[side][view][symmetries.order[applied]]
+            weights[side][view] = weights[side][view][symmetries.order[applied]]
+            if side == 0:
+                motion = symmetries.motions[applied]
+                t[view] = R[view] @ motion.t + t[view]
+                R[view] = R[view] @ motion.R
+            notes[view] = (
+                f"the {('left', 'right')[side]} corner order was {symmetries.names[k]} against the other camera; repaired"
+            )
+    is_used = (cameras[0].is_usable | cameras[1].is_usable) & np.array([i not in reasons for i in range(detections.n_views)])
+    n_pairs = int(np.sum(is_used & cameras[0].is_usable & cameras[1].is_usable))
+    _require(n_pairs, detections, reasons)
+    R[~is_used], t[~is_used] = np.nan, np.nan
+    return Diagnosis(
+        replace(detections, left_px=repaired[0], right_px=repaired[1]),
+        is_used,
+        tuple(RejectedView(detections.names[i], reasons[i]) for i in sorted(reasons)),
+        tuple(notes),
+        tuple([w for w in size_warnings if w] + _rig_warnings(consensus, cameras, notes)),
+        cameras[0],
+        cameras[1],
+        consensus.T_right_left,
+        R,
+        t,
+        weights[0],
+        weights[1],
+        float(np.median(consensus.miss_px[consensus.agrees])),
+    )
+
+
+def _require(found: int, detections: Detections, reasons: dict[int, str]) -> None:
+    if found < MIN_VIEWS:
+        raise TooFewViewsError(found, MIN_VIEWS, {detections.names[i]: reasons[i] for i in sorted(reasons)})
+
+
+def _without(fit: HomographyFit, dropped: Bool[ndarray, "views"]) -> HomographyFit:
+    """The fits with some views marked as not usable."""
+    if not dropped.any():
+        return fit
+    return replace(
+        fit, status=np.where(dropped, UNFIT, fit.status), weights=np.where(dropped[:, None], 0.0, fit.weights),
+        H=np.where(dropped[:, None, None], np.nan, fit.H),
+    )  # fmt: skip
+
+
+# --- one camera -------------------------------------------------------------------------------------------------------
+
+
+def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: HomographyFit, names: tuple[str, ...]) -> None:
+    """Corners that fit their board, yet lie outside the picture, betray a wrong image size (outliers do not fit)."""
+    width, height = size
+    slack = np.maximum(_OUTSIDE_PX, 3 * np.nan_to_num(fit.sigma_px))[:, None]
+    trusted = fit.weights > 0.5
+    with np.errstate(invalid="ignore"):
+        beyond = np.maximum(
+            np.maximum(-0.5 - px[..., 0], px[..., 0] - (width - 0.5)), np.maximum(-0.5 - px[..., 1], px[..., 1] - (height - 0.5))
+        )
+        outside = trusted & (beyond > slack)
+    if not outside.any():
+        return
+    view, corner = np.unravel_index(int(np.argmax(np.where(outside, beyond, -np.inf))), outside.shape)
+    x, y = px[view, corner]
+    inside = px[trusted & (np.min(px, axis=-1, where=np.isfinite(px), initial=np.inf) > -0.5 - _OUTSIDE_PX)]
+    hint = "give the size of the picture in which the corners were found"
+    if len(inside) == trusted.sum() and np.all(inside <= np.array([height, width]) + _OUTSIDE_PX):
+        hint = f"the image size looks swapped: give {height}x{width}"
+    raise DataError(
+        f"{camera} view {names[view]}, corner {corner} at ({x:.1f}, {y:.1f}) px lies outside the {width}x{height} picture "
+        f"({int(outside.sum())} such corners in {int(outside.any(axis=1).sum())} views); {hint}."
+    )
+
+
+def _spacing_px(points: ndarray, fit: HomographyFit) -> Float[ndarray, "views"]:
+    """Rough distance between neighbouring corners in each view, pixels."""
+    xy = points[:, :2]
+    sample = xy[:: max(1, len(xy) // 40)]
+    distance2 = np.square(sample[:, None, 0] - xy[:, 0]) + np.square(sample[:, None, 1] - xy[:, 1])
+    distance2[distance2 < 1e-24] = np.inf
+    return float(np.median(np.sqrt(distance2.min(axis=1)))) * fit.px_per_unit
+
+
+def _check_grid(
+    camera: str, points: ndarray, px: ndarray, fit: HomographyFit, names: tuple[str, ...], reasons: dict[int, str]
+) -> None:
+    """Views whose corners are no picture of the board; refuses the set where nearly all are, and tries to say why."""
+    n_seen = np.isfinite(px[..., 0]).sum(axis=1)
+    with np.errstate(all="ignore"):
+        off_grid = (fit.status == UNFIT) | ((fit.status == GOOD) & (fit.sigma_px > _OFF_GRID * _spacing_px(points, fit)))
+    examined = np.isin(fit.status, (GOOD, UNFIT))
+    if off_grid.sum() > _MOST * max(examined.sum(), 1) and off_grid.sum() >= min(3, examined.sum()):
+        order = transposed_order(points)
+        if order is not None:
+            other = fit_homographies(points[order], px)
+            with np.errstate(all="ignore"):
+                fits_now = (other.status == GOOD) & (other.sigma_px < 0.5 * _OFF_GRID * _spacing_px(points, fit))
+            if fits_now.sum() > _MOST * examined.sum():
+                raise InconsistentViewsError(
+                    f"columns and rows are exchanged in the {camera} corners ({int(fits_now.sum())} of {int(examined.sum())} "
+                    "views fit the board only when read column by column): exchange the board's columns and rows, "
+                    "or give the corners row by row."
+                )
+        view = int(np.flatnonzero(off_grid)[0])
+        raise InconsistentViewsError(
+            f"the {camera} corners do not lie on the board's grid in {int(off_grid.sum())} of {int(examined.sum())} views (first: "
+            f"{names[view]}): the board's columns, rows or corner order are wrong; give the board as it is printed."
+        )
+    for view in np.flatnonzero(n_seen > 0):
+        i = int(view)
+        where = f"the {camera} corners"
+        if off_grid[i]:
+            reasons.setdefault(i, f"{where} do not lie on the board's grid (order or detection is wrong); detect them again")
+        elif fit.status[i] == COINCIDENT:
+            x, y = np.nanmean(px[i], axis=0)
+            reasons.setdefault(i, f"{where} all lie at one point ({x:.0f}, {y:.0f}); mark corners that were not found as NaN")
+        elif fit.status[i] == COLLINEAR and n_seen[i] >= MIN_POINTS:
+            reasons.setdefault(i, f"{where} lie on one line and determine no pose; show more of the board, less edge-on")
+
+
+def _check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> None:
+    """Sets of views from which no focal length follows; repeated poses count once."""
+    usable = np.flatnonzero(initial.homographies.is_valid)
+    H = initial.homographies.H[usable]
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    ends = np.array([[low[0], low[1], 1], [high[0], low[1], 1], [low[0], high[1], 1], [high[0], high[1], 1]])
+    mapped = H @ ends.T
+    with np.errstate(all="ignore"):
+        ends_px = (mapped[:, :2] / mapped[:, 2:]).reshape(len(usable), -1)
+    tolerance = max(1.0, 4 * float(np.median(initial.homographies.sigma_px[usable])) if initial.rms_px > 0 else 1.0)
+    tolerance = min(tolerance, 5.0)
+    fresh = np.ones(len(usable), dtype=bool)
+    n_distinct = 0
+    while fresh.any() and n_distinct < MIN_VIEWS:
+        n_distinct += 1
+        first = ends_px[np.argmax(fresh)]
+        fresh &= np.sqrt(np.mean(np.square(ends_px - first), axis=1)) > tolerance
+    if n_distinct < MIN_VIEWS:
+        raise DegenerateGeometryError(
+            f"the {camera} camera sees the board in only {n_distinct} different pose{'' if n_distinct == 1 else 's'} in "
+            f"{len(usable)} views: focal length and principal point are undetermined; "
+            "tilt the board 20-45 deg about both axes in at least 3 views."
+        )
+    check_orientations(initial.vanishing.K, initial.columns, initial.covariance, camera)
+    if initial.vanishing.sigma_log_focal > _MAX_SIGMA_LOG_FOCAL:
+        raise DegenerateGeometryError(
+            f"the {camera} camera's focal length is known to ± {100 * initial.vanishing.sigma_log_focal:.0f} % only: the boards are "
+            "tilted too little or all alike; tilt the board 20-45 deg about both axes in at least 3 views."
+        )
+
+
+def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
+    """A picture size too large for the corners: principal point far off the middle, and no corner beyond twice that; a warning or ""."""
+    width, height = initial.size_wh
+    centre = np.array([(width - 1) / 2, (height - 1) / 2])
+    principal = initial.parameters[2:4]
+    sigma = np.maximum(initial.vanishing.sigma_centre * initial.unit_px, 1.0)
+    trusted = px[initial.weights > 0.5]
+    if not len(trusted):
+        return ""
+    far = trusted.max(axis=0)
+    offset = centre - principal
+    implied = 2 * principal + 1
+    if not np.all(far < 1.05 * implied):
+        return ""
+    if np.all(offset > 0.15 * np.array([width, height])) and np.all(offset > 6 * sigma):
+        raise DataError(
+            f"the {camera} corners fill only the first {far[0]:.0f}x{far[1]:.0f} px of a {width}x{height} picture, and the principal "
+            f"point ({principal[0]:.0f}, {principal[1]:.0f}) is far from its middle: the image size looks wrong, about "
+            f"{implied[0]:.0f}x{implied[1]:.0f} would fit; give the size of the picture in which the corners were found."
+        )
+    if np.any((offset > 0.1 * np.array([width, height])) & (offset > 6 * sigma)):
+        return (
+            f"the {camera} principal point ({principal[0]:.0f}, {principal[1]:.0f}) is far from the middle of the {width}x{height} picture "
+            f"and the corners end at ({far[0]:.0f}, {far[1]:.0f}): check the image size; about {implied[0]:.0f}x{implied[1]:.0f} would fit."
+        )
+    return ""
+
+
+# --- left against right -----------------------------------------------------------------------------------------------
+
+
+def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits: list[HomographyFit]) -> None:
+    """One camera's corners at a fraction of its picture: they keep to the first quarter, where the boards look half as large."""
+    both = fits[0].is_valid & fits[1].is_valid
+    if both.sum() < MIN_VIEWS:
+        return
+    far = [
+        np.array([np.max(px[..., k], where=fit.weights > 0.5, initial=0.0) for k in range(2)]) / size
+        for px, size, fit in zip(pixels, sizes, fits, strict=True)
+    ]
+    scale = [fit.px_per_unit[both] / size[0] for fit, size in zip(fits, sizes, strict=True)]
+    ratio = float(np.median(scale[1] / scale[0]))
+    for side, (name, other) in enumerate((("right", "left"), ("left", "right"))):
+        k = 1 - side
+        share = ratio if k == 1 else 1 / ratio
+        if share < 0.62 and np.all(far[k] < share * 1.15) and np.any(far[1 - k] > 0.62):
+            width, height = sizes[k]
+            raise DataError(
+                f"the {name} corners keep to the first {far[k][0] * width:.0f}x{far[k][1] * height:.0f} px of the {width}x{height} "
+                f"picture and the boards look {share:.2f} times as large as in the {other} camera: the {name} corners are at about "
+                f"{share:.2f} of the picture's resolution; scale them, or give the {name} image size that belongs to them."
+            )
+
+
+def _share_focal(
+    cameras: list[InitialCamera], fits: list[HomographyFit], points: ndarray, pixels: list[ndarray],
+    sizes: list[tuple[int, int]], model: str, has_skew: bool,
+) -> list[InitialCamera]:
+    """In weak sets, bring both focal lengths together: boards far away look larger by the ratio of the focal lengths."""
+    sigma = [camera.vanishing.sigma_log_focal for camera in cameras]
+    both = cameras[0].is_usable & cameras[1].is_usable
+    if max(sigma) < _SHARED_FOCAL or both.sum() < MIN_VIEWS:
+        return cameras
+    f = [float(camera.parameters[0]) for camera in cameras]
+    size = [f[k] / cameras[k].poses.t[both, 2] for k in range(2)]
+    ratio = float(np.median(np.log(size[1] / size[0])))  # log fR / fL, were the depths equal
+    precision = [1 / s**2 for s in sigma]
+    # left's log f from both cameras; the depths differ by a few percent in usual rigs
+    tied = 1 / (sigma[1] ** 2 + _SHARED_FOCAL**2)
+    log_left = (precision[0] * np.log(f[0]) + tied * (np.log(f[1]) - ratio)) / (precision[0] + tied)
+    values = [float(np.exp(log_left)), float(np.exp(log_left + ratio))]
+    return [
+        estimate_intrinsics(
+            points, pixels[k], sizes[k], model, has_skew=has_skew, homographies=fits[k],
+            focal_px=(values[k], values[k] * _SHARED_FOCAL),
+        )
+        for k in range(2)
+    ]  # fmt: skip
+
+
+def _own_rms(cameras: list[InitialCamera]) -> float:
+    """What both cameras' poses leave without any common rig: median over views, pixels."""
+    both = cameras[0].is_usable & cameras[1].is_usable
+    squared = (np.square(cameras[0].poses.rms_px[both]) + np.square(cameras[1].poses.rms_px[both])) / 2
+    return float(np.sqrt(np.median(squared)))
+
+
+def _quality(consensus: Consensus | None) -> tuple[float, float]:
+    """Share of views that agree, and the median miss of those, pixels."""
+    if consensus is None:
+        return 0.0, np.inf
+    examined = consensus.symmetry >= 0
+    return float(consensus.agrees.sum() / examined.sum()), float(np.median(consensus.miss_px[consensus.agrees]))
+
+
+def _find_consensus(
+    cameras: list[InitialCamera], detections: Detections
+) -> tuple[Consensus, BoardSymmetries | None]:
+    """The rig on which most views agree; and the board's symmetries where some views may need one, else None.
+
+    Raises:
+        InconsistentViewsError: There is none; the pairing is tested for being off by a few views first.
+    """
+    left, right = cameras[0].poses, cameras[1].poses
+    diagonal = float(np.hypot(*detections.left_size_wh))
+    own = _own_rms(cameras)
+    trusted_px = max(4 * own, 1.0)  # where intrinsics are sound, a true consensus adds next to nothing to the views' own residuals
+    consensus = estimate_relative_pose(left, right)
+    share, typical = _quality(consensus)
+    if share == 1.0 and typical < trusted_px:
+        return consensus, None
+    symmetries = board_symmetries(detections.object_points_m)
+    if len(symmetries.names) > 1:
+        other = estimate_relative_pose(left, right, symmetries.motions, max_proposals=32)
+        other_share, other_typical = _quality(other)
+        n_more = int(other.agrees.sum()) - int(consensus.agrees.sum())
+        if (other_typical < 3 * max(typical, own) and n_more > 0) or other_typical < typical / 3:
+            consensus, share, typical = other, other_share, other_typical
+    is_sound = share > 0.5 and typical < trusted_px
+    if not is_sound:
+        for shift in sorted((s for s in range(-_MAX_SHIFT, _MAX_SHIFT + 1) if s), key=abs):
+            moved = _shifted(right, shift)
+            if np.sum(left.is_usable & moved.is_usable) < MIN_VIEWS:
+                continue
+            other = estimate_relative_pose(left, moved, symmetries.motions)
+            other_share, other_typical = _quality(other)
+            if other_share > 0.7 and other_typical < max(trusted_px, 2.0) and other_typical < (typical + own) / 3:
+                k = int(np.flatnonzero(other.agrees)[0])
+                raise InconsistentViewsError(
+                    f"pairs are off by {'one' if abs(shift) == 1 else abs(shift)}: left view {detections.names[k]} matches right view "
+                    f"{detections.names[k + shift]} ({int(other.agrees.sum())} of {int(np.sum(other.symmetry >= 0))} pairs "
+                    "agree when moved so); pair the pictures again."
+                )
+        if not share >= 0.5 or typical > max(0.02 * diagonal, trusted_px):
+            n_agree = int(consensus.agrees.sum())
+            n_pairs = int(np.sum(consensus.symmetry >= 0))
+            raise InconsistentViewsError(
+                f"left and right contradict each other: no rig explains more than {n_agree} of {n_pairs} pairs within "
+                f"{max(0.02 * diagonal, trusted_px):.0f} px (the best misses by {typical:.0f} px): check that the pairs are simultaneous, "
+                "that the rig is rigid, and that both cameras number the same board alike."
+            )
+    return consensus, symmetries
+
+
+def _shifted(poses: BoardPoses, shift: int) -> BoardPoses:
+    """Poses whose view k is the given view k + shift."""
+    n = len(poses.is_usable)
+    index = np.arange(n) + shift
+    inside = (index >= 0) & (index < n)
+    moved = select_poses(poses, np.clip(index, 0, n - 1))
+    return replace(moved, is_usable=moved.is_usable & inside)
+
+
+def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], points: ndarray) -> str:
+    """Why one view disagrees: corners shifted by a row or column, or another board pose altogether."""
+    miss = float(consensus.miss_px[view])
+    xy = points[:, :2]
+    columns, rows = (np.unique(np.round(xy[:, axis], 9)) for axis in range(2))
+    steps = [float(np.median(np.diff(values))) if len(values) > 1 else 0.0 for values in (columns, rows)]
+    poses = [select_poses(camera.poses, np.array([view])) for camera in cameras]
+    found: list[tuple[float, str, int]] = []
+    for axis, name in ((0, "column"), (1, "row")):
+        for count in (-2, -1, 1, 2):
+            offset = np.zeros(3)
+            offset[axis] = count * steps[axis]
+            px = float(transfer_px(consensus.T_right_left, poses[0], poses[1], SE3(np.eye(3), offset))[0])
+            found.append((px, name, abs(count)))
+    px, name, count = min(found)
+    if px < 0.25 * float(transfer_px(consensus.T_right_left, poses[0], poses[1], SE3.identity())[0]) and px < 3 * consensus.limit_px:
+        stray = [float(np.mean(c.weights[view][np.isfinite(c.homographies.residuals_px[view])] < 0.1)) for c in cameras]
+        side = "left" if stray[0] > stray[1] + 0.03 else "right" if stray[1] > stray[0] + 0.03 else "left or right"
+        how_many = f"one {name}" if count == 1 else f"two {name}s"
+        return f"the {side} corners are shifted by {how_many} against the other camera; detect this view again"
+    return (
+        f"left and right do not show the same board pose (they miss each other by {miss:.0f} px, other views by "
+        f"{float(np.median(consensus.miss_px[consensus.agrees])):.1f} px): the pair is mismatched or was not simultaneous"
+    )
+
+
+def _culprit(
+    view: int, symmetry: int, consensus: Consensus, cameras: list[InitialCamera]
+) -> int:
+    """0 or 1: the camera whose board stands otherwise than in its other views; if most views need the repair, the upside-down one."""
+    agreeing = consensus.agrees & (consensus.symmetry >= 0)
+    mostly = np.mean(consensus.symmetry[agreeing] == symmetry) > 0.5
+    score = []
+    for camera in cameras:
+        typical = np.mean(camera.poses.R[agreeing & (consensus.symmetry == (symmetry if mostly else 0))], axis=0)
+        # Board axes against the picture's own, or against those of the other views
+        score.append(float(np.sum(typical * (np.eye(3) if mostly else camera.poses.R[view]))))
+    return 0 if score[0] < score[1] else 1
+
+
+def _rig_warnings(consensus: Consensus, cameras: list[InitialCamera], notes: list[str]) -> list[str]:
+    """Sentences about the rig as a whole."""
+    t = consensus.T_right_left.t
+    warnings = []
+    if abs(t[0]) >= abs(t[1]) and t[0] > 0:
+        warnings.append(
+            "left and right look exchanged: the camera called right stands to the left of the other (T.x > 0); "
+            "the calibration holds for the names as given, exchange --left and --right for the usual order."
+        )
+    repaired = [note for note in notes if note]
+    if len(repaired) > _MOST * consensus.agrees.sum() and len(repaired) > 1:
+        warnings.append(
+            f"{len(repaired)} views needed their corner order repaired: one camera numbers the board's corners from the other end."
+        )
+    for name, camera in zip(("left", "right"), cameras, strict=True):
+        warnings.extend(f"{name} camera: {note}." for note in camera.notes)
+    return warnings

@@ -1,0 +1,65 @@
+"""Simulator: rigs, board poses, corners with every kind of fault, and rendered pictures, all with exact truth."""
+
+from binocal.simulation.corruptions import (
+    drop_view,
+    exchange_columns_and_rows,
+    flip_all,
+    flip_all_left,
+    flip_view,
+    halve_right_resolution,
+    mismatch_pair,
+    repeat_view,
+    shift_all_pairs,
+    shift_view_by_row,
+    state_image_size,
+    swap_cameras,
+    swap_image_size,
+    zero_view,
+)
+from binocal.simulation.layout import printed_extent_m
+from binocal.simulation.noise import add_outliers, drop_corners, simulate_detections
+from binocal.simulation.renderer import RenderedPicture, RenderOptions, render_light, render_picture
+from binocal.simulation.rigs import random_rig, table2_rig
+from binocal.simulation.scenes import (
+    PoseOptions,
+    StereoScene,
+    fronto_parallel,
+    same_pose,
+    sample_board_poses,
+    sample_scene,
+)
+from binocal.simulation.visibility import visible_px
+
+__all__ = [
+    "PoseOptions",
+    "RenderOptions",
+    "RenderedPicture",
+    "StereoScene",
+    "add_outliers",
+    "drop_corners",
+    "drop_view",
+    "exchange_columns_and_rows",
+    "flip_all",
+    "flip_all_left",
+    "flip_view",
+    "fronto_parallel",
+    "halve_right_resolution",
+    "mismatch_pair",
+    "printed_extent_m",
+    "random_rig",
+    "render_light",
+    "render_picture",
+    "repeat_view",
+    "same_pose",
+    "sample_board_poses",
+    "sample_scene",
+    "shift_all_pairs",
+    "shift_view_by_row",
+    "simulate_detections",
+    "state_image_size",
+    "swap_cameras",
+    "swap_image_size",
+    "table2_rig",
+    "visible_px",
+    "zero_view",
+]

@@ -1,0 +1,158 @@
+"""What is printed on each kind of board, as cells and discs in the board frame, in pitches.
+
+One square of white paper surrounds the outer squares of a chessboard; the other kinds have margins that a detector needs.
+Conventions, each held against OpenCV or Kalibr by a test:
+
+- chessboard: the outer square at the board's top left is black.
+- ChArUco: OpenCV's ``CharucoBoard``; its top-left square is black, in the legacy layout with an even number of rows white.
+- AprilGrid: Kalibr's sheet: tags with ``border_bits`` (Kalibr: 2) cells of black around 6 x 6 data cells, all within ``pitch_m``; black squares
+  as wide as the gap at the tags' corners; ids grow to the right and upward from the bottom-left tag; tags upright as in the AprilTag
+  project's own pictures. OpenCV's ``DICT_APRILTAG_36h11`` holds them turned by 180° in 4.x and 5.0.
+- circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.boards import Board
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_TAG36H11_ID0 = 0xD5D628584  # the family's first code word; read row by row, lowest bit first, it is the tag turned by 180°
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellPrint:
+    """A rectilinear grid of cells: ``ink`` is 1 where black is printed. Edges are in pitches, ascending."""
+
+    x_edges: Float[ndarray, "columns+1"]
+    y_edges: Float[ndarray, "rows+1"]
+    ink: Int[ndarray, "rows columns"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiscPrint:
+    """Black discs at (``step_x`` column + ``stagger`` (row mod 2), row), in pitches."""
+
+    columns: int
+    rows: int
+    step_x: float
+    stagger: float
+    radius: float
+
+
+def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
+    """x0, y0, x1, y1 of the smallest rectangle around everything printed, in the board frame, metres (pitches if not metric)."""
+    if board.kind == "chessboard":
+        box = (-1.0, -1.0, board.columns, board.rows)
+    elif board.kind == "charuco":
+        box = (0.0, 0.0, board.columns, board.rows)
+    elif board.kind == "aprilgrid":
+        gap = board.tag_gap_ratio
+        box = (-gap, -gap, board.columns * (1 + gap), board.rows * (1 + gap))
+    else:
+        discs = disc_print(board)
+        right = (board.columns - 1) * discs.step_x + (discs.stagger if board.rows > 1 else 0)
+        box = (-discs.radius, -discs.radius, right + discs.radius, board.rows - 1 + discs.radius)
+    return tuple(float(b) * board.pitch_m for b in box)  # type: ignore[return-value]
+
+
+def sheet_margin(board: Board) -> float:
+    """Width of the white rim around the printed extent, in pitches."""
+    return 0.5 if board.kind == "aprilgrid" else 1.0
+
+
+def disc_print(board: Board) -> DiscPrint:
+    """Discs of a circle grid.
+
+    Raises:
+        ValueError: Neighbouring discs would touch.
+    """
+    is_staggered = board.kind == "acircles"
+    spacing = np.sqrt(2) if is_staggered else 1.0
+    radius = 0.5 * board.circle_diameter_ratio * spacing
+    if not 0 < radius < 0.5:  # acircles: half a pitch is also what the nearest-row look-up needs
+        raise ValueError(f"circle_diameter_ratio {board.circle_diameter_ratio} must be in (0, {1 / spacing:.2f})")
+    return DiscPrint(board.columns, board.rows, 2.0 if is_staggered else 1.0, 1.0 if is_staggered else 0.0, radius)
+
+
+def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bits: int = 2) -> CellPrint:
+    """Cells of a chessboard, ChArUco or AprilGrid board.
+
+    Raises:
+        ValueError: The dictionary is unknown or has too few markers.
+    """
+    if board.kind == "chessboard":
+        row, column = np.mgrid[: board.rows + 1, : board.columns + 1]
+        return CellPrint(np.arange(-1.0, board.columns + 1), np.arange(-1.0, board.rows + 1), 1 - (row + column) % 2)
+    if board.kind == "charuco":
+        return _charuco_print(board, is_legacy_charuco)
+    if board.kind == "aprilgrid":
+        return _aprilgrid_print(board, april_border_bits)
+    raise ValueError(f"{board.kind} is not made of cells")
+
+
+def _charuco_print(board: Board, is_legacy: bool) -> CellPrint:
+    dictionary = _aruco_dictionary(board.dictionary)
+    n_cells = dictionary.markerSize + 2
+    side = board.marker_m / board.pitch_m
+    inside = np.r_[0.0, (1 - side) / 2 + side * np.arange(n_cells + 1) / n_cells]
+    n_block = n_cells + 2
+    first_is_white = is_legacy and board.rows % 2 == 0
+    ink = np.zeros((board.rows, n_block, board.columns, n_block), dtype=int)
+    marker_id = 0
+    for row in range(board.rows):
+        for column in range(board.columns):
+            if (row + column) % 2 == int(first_is_white):
+                ink[row, :, column, :] = 1
+            else:
+                ink[row, 1:-1, column, 1:-1] = _marker_ink(dictionary, marker_id, board.dictionary)
+                marker_id += 1
+    edges = [np.r_[(np.arange(n)[:, None] + inside).ravel(), n] for n in (board.columns, board.rows)]
+    return CellPrint(edges[0], edges[1], ink.reshape(board.rows * n_block, board.columns * n_block))
+
+
+def _aprilgrid_print(board: Board, border_bits: int) -> CellPrint:
+    dictionary = _aruco_dictionary("DICT_APRILTAG_36h11")
+    code = np.array([[(_TAG36H11_ID0 >> (6 * i + j)) & 1 for j in range(6)] for i in range(6)])
+    first = 1 - _marker_ink(dictionary, 0, "DICT_APRILTAG_36h11")[1:-1, 1:-1]
+    turns = 2 if np.array_equal(first, code) else 0  # OpenCV may one day turn its dictionary to the AprilTag project's side
+    assert turns or np.array_equal(first, np.rot90(code, 2)), "OpenCV's tag36h11 is neither upright nor upside down"
+    n_cells, gap = 6 + 2 * border_bits, board.tag_gap_ratio
+    block = n_cells + 1  # a gap, then the tag's cells
+    ink = np.zeros((board.rows * block + 1, board.columns * block + 1), dtype=int)
+    ink[::block, ::block] = 1
+    for index, tag_id in enumerate(board.tag_ids):
+        row, column = divmod(index, board.columns)
+        tag = np.ones((n_cells, n_cells), dtype=int)
+        data = _marker_ink(dictionary, int(tag_id), "DICT_APRILTAG_36h11")[1:-1, 1:-1]
+        tag[border_bits:-border_bits, border_bits:-border_bits] = np.rot90(data, turns)
+        ink[row * block + 1 : (row + 1) * block, column * block + 1 : (column + 1) * block] = tag
+    inside = np.r_[-gap, np.arange(n_cells) / n_cells]
+    edges = [np.r_[(np.arange(n)[:, None] * (1 + gap) + inside).ravel(), n * (1 + gap) - gap, n * (1 + gap)] for n in
+             (board.columns, board.rows)]
+    return CellPrint(edges[0], edges[1], ink)
+
+
+def _aruco_dictionary(name: str):  # noqa: ANN202 - cv2's types are not imported here
+    import cv2
+
+    if not hasattr(cv2.aruco, name):
+        raise ValueError(f"{name!r} is not an ArUco dictionary of this OpenCV")
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def _marker_ink(dictionary, marker_id: int, name: str) -> Int[ndarray, "cells cells"]:  # noqa: ANN001
+    """Cells of a marker with a black border of one cell; 1 is black."""
+    import cv2
+
+    if marker_id >= len(dictionary.bytesList):
+        raise ValueError(f"{name} has {len(dictionary.bytesList)} markers; the board needs at least {marker_id + 1}")
+    n_cells = dictionary.markerSize + 2
+    return (cv2.aruco.generateImageMarker(dictionary, marker_id, n_cells, borderBits=1) == 0).astype(int)

@@ -1,0 +1,1 @@
+"""The joint solver: residuals, robust losses, least squares, covariance, board poses."""

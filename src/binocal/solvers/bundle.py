@@ -1,0 +1,305 @@
+"""Bundle adjustment of one camera, or of a stereo pair, over board views: equations, steps, retraction.
+
+Unknowns: each camera's intrinsics, the rig's ``T_right_left``, and one board pose ``T_left_board`` per view. Rigid transforms are
+stepped from the left, ``T <- (exp(omega), tau) T``, xi = (omega, tau). A right corner then moves by the same column whether the rig or
+the board stepped, up to the adjoint of ``T_right_left``; that is why :func:`accumulate` needs only six pose columns per camera. The board
+poses are eliminated view by view (Schur complement; Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6.1), so
+the cost is linear in the views.
+
+Every array may carry leading batch dimensions: a batch of rigs with the same board and number of views is solved at once.
+All functions are pure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.cameras import CameraModel
+from binocal.geometry import so3
+from binocal.solvers import robust
+from binocal.solvers.accumulate import ViewEquations, accumulate, squared_lengths
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraObservations:
+    """One camera's corners, component-first, finite everywhere (0 where not seen), and which of its parameters are free."""
+
+    model: CameraModel
+    pixels: Float[ndarray, "*batch views 2 n"]
+    is_seen: Bool[ndarray, "*batch views n"]
+    is_free: Bool[ndarray, "p"]
+
+    @staticmethod
+    def from_corners(
+        model: CameraModel, corners_px: Float[ndarray, "*batch views n 2"], *, skew: bool = False, intrinsics: bool = True
+    ) -> CameraObservations:
+        """Observations of (views, n, 2) corners with NaN for unseen; ``intrinsics=False`` holds all parameters."""
+        corners = np.asarray(corners_px, dtype=float)
+        is_seen = np.isfinite(corners[..., 0])
+        pixels = np.ascontiguousarray(np.where(is_seen[..., None], corners, 0.0).swapaxes(-1, -2))
+        is_free = np.full(model.n_parameters, intrinsics)
+        is_free[4] = intrinsics and skew
+        return CameraObservations(model, pixels, is_seen, is_free)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleProblem:
+    """The measurements: one or two cameras that saw the same views of the board."""
+
+    object_points: Float[ndarray, "3 n"]
+    cameras: tuple[CameraObservations, ...]
+    is_rig_free: bool = True
+
+    @property
+    def is_stereo(self) -> bool:
+        """Two cameras rather than one."""
+        return len(self.cameras) == 2
+
+    @property
+    def n_shared(self) -> int:
+        """Free parameters that all views share: intrinsics, then the rig's six."""
+        return sum(int(c.is_free.sum()) for c in self.cameras) + (6 if self.is_stereo and self.is_rig_free else 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleEstimate:
+    """A point in parameter space. The rig is None with a single camera."""
+
+    parameters: tuple[Float[ndarray, "*batch p"], ...]
+    R_left_board: Float[ndarray, "*batch views 3 3"]
+    t_left_board: Float[ndarray, "*batch views 3"]
+    R_right_left: Float[ndarray, "*batch 3 3"] | None = None
+    t_right_left: Float[ndarray, "*batch 3"] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleEquations:
+    """The problem linearised at an estimate: per-camera equations and the total robust cost (inf where the estimate is impossible).
+
+    The cost includes ``prior_energy``, half the squared standardised distance from the models' weak priors, times the squared ``scale_px``
+    that stands for the noise.
+    """
+
+    cameras: tuple[ViewEquations, ...]
+    cost_px2: Float[ndarray, "*batch"]
+    prior_energy: Float[ndarray, "*batch"]
+    scale_px: Float[ndarray, "*batch"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleStep:
+    """A Newton-like step: shared parameters (free ones only, in order), view poses, and the predicted fall of the cost."""
+
+    shared: Float[ndarray, "*batch s"]
+    views: Float[ndarray, "*batch views 6"]
+    predicted_px2: Float[ndarray, "*batch"]
+
+
+def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 6 6"]:
+    """Adjoint of a transform: a left step xi seen through T_a_b is the left step Ad xi after it."""
+    out = np.zeros((*R.shape[:-2], 6, 6))
+    out[..., :3, :3] = R
+    out[..., 3:, 3:] = R
+    out[..., 3:, :3] = so3.hat(t) @ R
+    return out
+
+
+def right_poses(estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
+    """``T_right_board`` of every view."""
+    R, t = estimate.R_right_left[..., None, :, :], estimate.t_right_left[..., None, :]
+    return R @ estimate.R_left_board, (R @ estimate.t_left_board[..., None])[..., 0] + t
+
+
+def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple[ndarray, ndarray]]:
+    """``T_camera_board`` of every view for each camera of the problem."""
+    left = (estimate.R_left_board, estimate.t_left_board)
+    return [left, right_poses(estimate)] if problem.is_stereo else [left]
+
+
+def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> Float[ndarray, "*batch corners"]:
+    """Squared residual lengths of all cameras, flattened; 0 where not seen."""
+    lengths2 = [
+        squared_lengths(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
+        for c, parameters, (R, t) in zip(
+            problem.cameras, estimate.parameters, camera_poses(problem, estimate), strict=True
+        )
+    ]
+    return np.concatenate([r2.reshape(*r2.shape[:-2], -1) for r2 in lengths2], axis=-1)
+
+
+def linearize(
+    problem: BundleProblem, estimate: BundleEstimate, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
+) -> BundleEquations:
+    """Residuals and normal equations of all cameras at an estimate."""
+    poses = camera_poses(problem, estimate)
+    equations = tuple(
+        accumulate(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel)
+        for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
+    )
+    cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
+    energy = np.zeros(cost.shape)
+    for camera, parameters in zip(problem.cameras, estimate.parameters, strict=True):
+        cost = np.where(np.all(parameters[..., :2] > 0, axis=-1), cost, np.inf)
+        energy = energy + 0.5 * (parameters**2 @ prior_precision(camera))
+    scale_px = np.broadcast_to(np.asarray(scale_px, dtype=float), cost.shape)
+    return BundleEquations(equations, cost + scale_px**2 * energy, energy, scale_px)
+
+
+def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:
+    """Precision of the weak prior on each parameter of a camera; 0 where there is none or the parameter is held."""
+    return np.where(camera.is_free, camera.model.prior_precision, 0.0)
+
+
+def assemble(
+    problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations
+) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
+    """Full normal equations in blocks: shared H (*b, s, s) and g, views' H (*b, v, 6, 6) and g, coupling (*b, v, 6, s)."""
+    H_views, coupling, g_views = [], [], []
+    n_shared = problem.n_shared
+    batch_views = estimate.t_left_board.shape[:-1]
+    H = np.zeros((*batch_views[:-1], n_shared, n_shared))
+    g = np.zeros((*batch_views[:-1], n_shared))
+    column = 0
+    for index, (camera, e) in enumerate(zip(problem.cameras, equations.cameras, strict=True)):
+        p = camera.model.n_parameters
+        pose = slice(p, p + 6)
+        free = np.nonzero(camera.is_free)[0]
+        use_rig = index == 1 and problem.is_rig_free
+        keep = np.r_[free, np.arange(p, p + 6)] if use_rig else free
+        place = np.arange(column, column + len(free))
+        column += len(free)
+        if use_rig:
+            place = np.r_[place, np.arange(n_shared - 6, n_shared)]
+        total = e.gram.sum(axis=-3)
+        H[..., place[:, None], place] += total[..., keep[:, None], keep]
+        g[..., place] += total[..., keep, -1]
+        precision = prior_precision(camera)[free]
+        if precision.any():
+            own = place[: len(free)]
+            weight = equations.scale_px[..., None] ** 2 * precision
+            H[..., own, own] += weight
+            g[..., own] -= weight * estimate.parameters[index][..., free]
+        H_pose, cross, g_pose = e.gram[..., pose, pose], e.gram[..., pose, :][..., keep], e.gram[..., pose, -1]
+        if index == 1:
+            Ad = adjoint(estimate.R_right_left, estimate.t_right_left)[..., None, :, :]
+            Ad_T = Ad.swapaxes(-1, -2)
+            H_pose, cross, g_pose = Ad_T @ H_pose @ Ad, Ad_T @ cross, (Ad_T @ g_pose[..., None])[..., 0]
+        W = np.zeros((*batch_views, 6, n_shared))
+        W[..., place] = cross
+        H_views.append(H_pose)
+        coupling.append(W)
+        g_views.append(g_pose)
+    return H, g, sum(H_views), sum(g_views), sum(coupling)
+
+
+def reduce_views(
+    H: ndarray, g: ndarray, H_views: ndarray, g_views: ndarray, coupling: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
+    """Schur complement over the views: reduced H and g, and H_views⁻¹ [coupling, g_views] for back-substitution.
+
+    A view without any corner has a zero block; it is given the identity, so that it neither steps nor counts.
+    """
+    is_empty = np.trace(H_views, axis1=-2, axis2=-1) <= 0
+    if is_empty.any():
+        H_views = np.where(is_empty[..., None, None], np.eye(6), H_views)
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(H_views, axis1=-2, axis2=-1), 1e-300))
+    scaled = H_views * scale[..., :, None] * scale[..., None, :]
+    right = np.concatenate([coupling, g_views[..., None]], axis=-1) * scale[..., :, None]
+    solved = np.linalg.solve(scaled, right) * scale[..., :, None]
+    reduced = np.einsum("...vps,...vpr->...sr", coupling, solved, optimize=True)
+    return H - reduced[..., :-1], g - reduced[..., -1], solved
+
+
+def solve_step(
+    problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations, damping: Float[ndarray, "*batch"]
+) -> BundleStep:
+    """Levenberg-Marquardt step with Marquardt's scaling (1963): the diagonal grows by the factor 1 + damping.
+
+    Raises:
+        np.linalg.LinAlgError: The damped equations are singular (a rig of the batch is degenerate).
+    """
+    H, g, H_views, g_views, coupling = assemble(problem, estimate, equations)
+    growth = 1 + np.asarray(damping, dtype=float)
+    H_damped, views_damped = H.copy(), H_views.copy()
+    i, j = np.arange(H.shape[-1]), np.arange(6)
+    H_damped[..., i, i] *= growth[..., None]
+    views_damped[..., j, j] *= growth[..., None, None]
+    H_reduced, g_reduced, solved = reduce_views(H_damped, g, views_damped, g_views, coupling)
+    shared = _solve_scaled(H_reduced, g_reduced, np.diagonal(H_damped, axis1=-2, axis2=-1))
+    views = solved[..., -1] - (solved[..., :-1] @ shared[..., None, :, None])[..., 0]
+    linear = np.einsum("...s,...s->...", shared, g) + np.einsum("...vp,...vp->...", views, g_views)
+    extra = np.einsum("...s,...s->...", shared**2, np.diagonal(H, axis1=-2, axis2=-1)) + np.einsum(
+        "...vp,...vp->...", views**2, np.diagonal(H_views, axis1=-2, axis2=-1)
+    )
+    return BundleStep(shared, views, 0.5 * (linear + (growth - 1) * extra))
+
+
+def _solve_scaled(H: ndarray, g: ndarray, diagonal: ndarray) -> ndarray:
+    """H x = g, equilibrated by the diagonal: pixels and distortion coefficients differ by 10⁸ in their squares."""
+    if H.shape[-1] == 0:
+        return np.zeros_like(g)
+    s = 1 / np.sqrt(np.maximum(diagonal, 1e-300))
+    return np.linalg.solve(H * s[..., :, None] * s[..., None, :], (g * s)[..., None])[..., 0] * s
+
+
+def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) -> BundleEstimate:
+    """The estimate moved by a step."""
+    parameters, column = [], 0
+    for camera, values in zip(problem.cameras, estimate.parameters, strict=True):
+        moved = values.copy()
+        count = int(camera.is_free.sum())
+        moved[..., camera.is_free] += step.shared[..., column : column + count]
+        column += count
+        parameters.append(moved)
+    R, t = _step_pose(estimate.R_left_board, estimate.t_left_board, step.views)
+    out = replace(estimate, parameters=tuple(parameters), R_left_board=R, t_left_board=t)
+    if problem.is_stereo and problem.is_rig_free:
+        R, t = _step_pose(estimate.R_right_left, estimate.t_right_left, step.shared[..., column:])
+        out = replace(out, R_right_left=R, t_right_left=t)
+    return out
+
+
+def _step_pose(R: ndarray, t: ndarray, xi: ndarray) -> tuple[ndarray, ndarray]:
+    turn = so3.exp(xi[..., :3])
+    return turn @ R, (turn @ t[..., None])[..., 0] + xi[..., 3:]
+
+
+def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleEstimate) -> BundleEstimate:
+    """Rig by rig, the new estimate where ``take``, else the old one."""
+
+    def pick(a: ndarray | None, b: ndarray | None) -> ndarray | None:
+        return None if a is None else np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
+
+    return BundleEstimate(
+        tuple(pick(a, b) for a, b in zip(new.parameters, old.parameters, strict=True)),
+        pick(new.R_left_board, old.R_left_board),
+        pick(new.t_left_board, old.t_left_board),
+        pick(new.R_right_left, old.R_right_left),
+        pick(new.t_right_left, old.t_right_left),
+    )
+
+
+def select_equations(
+    take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations
+) -> BundleEquations:
+    """Rig by rig, the new equations where ``take``, else the old ones."""
+    def pick(a: ndarray, b: ndarray) -> ndarray:
+        return np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
+
+    cameras = tuple(
+        type(a)(pick(a.gram, b.gram), pick(a.r2_px2, b.r2_px2), pick(a.cost_px2, b.cost_px2))
+        for a, b in zip(new.cameras, old.cameras, strict=True)
+    )
+    return BundleEquations(
+        cameras,
+        pick(new.cost_px2, old.cost_px2),
+        pick(new.prior_energy, old.prior_energy),
+        pick(new.scale_px, old.scale_px),
+    )

@@ -1,0 +1,126 @@
+"""Covariance of the rig from the final normal equations, and the Cramér-Rao bound of a scene."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.cameras import StereoRig, camera_model
+from binocal.errors import DegenerateGeometryError
+from binocal.geometry import SE3, so3
+from binocal.result import Covariance
+from binocal.solvers import robust
+from binocal.solvers.bundle import (
+    BundleEquations,
+    BundleEstimate,
+    BundleProblem,
+    CameraObservations,
+    assemble,
+    linearize,
+    reduce_views,
+)
+from binocal.solvers.least_squares import Minimum
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+SINGULAR_CONDITION = 1e15  # of the equilibrated information; a usable rig has 1e3 to 1e9, brown8 up to 1e13
+
+
+def shared_names(problem: BundleProblem) -> tuple[str, ...]:
+    """Names of the shared free parameters in the solver's order."""
+    names: list[str] = []
+    for side, camera in zip(("left", "right"), problem.cameras, strict=False):
+        names += [f"{side}.{n}" for n, free in zip(camera.model.parameter_names, camera.is_free, strict=True) if free]
+    if problem.is_stereo and problem.is_rig_free:
+        names += [f"{part}.{axis}" for part in ("rotation", "translation") for axis in "xyz"]
+    return tuple(names)
+
+
+def shared_covariance(
+    problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations, noise_px: float
+) -> Float[ndarray, "s s"]:
+    """Covariance of the shared parameters of one rig, all board poses free, translation stepped additively.
+
+    Weak priors of the models count as information, as they did in the estimate.
+    The solver's left step moves the translation by tau + omega x t; the covariance is that of t itself.
+
+    Raises:
+        DegenerateGeometryError: The information matrix is singular.
+    """
+    H, _, _ = reduce_views(*assemble(problem, estimate, equations))
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(H), 1e-300))
+    values, vectors = np.linalg.eigh(H * scale[:, None] * scale)
+    if not values[0] > values[-1] / SINGULAR_CONDITION:
+        weakest = np.abs(vectors[:, 0])
+        names = [shared_names(problem)[i] for i in np.argsort(-weakest)[:3]]
+        raise DegenerateGeometryError(
+            f"the views leave parameters undetermined (mostly {', '.join(names)}); "
+            "add views with the board tilted 20-45 deg about both axes, at different distances."
+        )
+    inverse = (vectors / values) @ vectors.T * scale[:, None] * scale * noise_px**2
+    if problem.is_stereo and problem.is_rig_free:
+        to_additive = np.eye(len(inverse))
+        to_additive[-3:, -6:-3] = -so3.hat(estimate.t_right_left)
+        inverse = to_additive @ inverse @ to_additive.T
+    return 0.5 * (inverse + inverse.T)
+
+
+def residual_noise_px(problem: BundleProblem, minimum: Minimum) -> float:
+    """Noise of one corner coordinate from the weighted residuals of one rig, corrected for the fitted parameters."""
+    weighted = sum(float(e.gram[..., -1, -1].sum()) for e in minimum.equations.cameras)
+    used = inliers(problem, minimum)
+    n_used = sum(int(is_inlier.sum()) for is_inlier in used)
+    n_views = int(np.any([is_inlier.any(axis=-1) for is_inlier in used], axis=0).sum())
+    freedom = 2 * n_used - 6 * n_views - problem.n_shared
+    if freedom <= 0:
+        raise DegenerateGeometryError("fewer measurements than unknowns; add views or corners.")
+    return float(np.sqrt(weighted / freedom))
+
+
+def inliers(problem: BundleProblem, minimum: Minimum) -> tuple[Bool[ndarray, "views n"], ...]:
+    """Which seen corners carry weight at the minimum."""
+    return tuple(
+        c.is_seen & (robust.weights(e.r2_px2, minimum.scale_px, minimum.kernel) > 0)
+        for c, e in zip(problem.cameras, minimum.equations.cameras, strict=True)
+    )
+
+
+def cramer_rao_bound(
+    rig: StereoRig,
+    object_points_m: Float[ndarray, "n 3"],
+    T_left_board: SE3,
+    noise_px: float,
+    *,
+    left_is_seen: Bool[ndarray, "views n"] | None = None,
+    right_is_seen: Bool[ndarray, "views n"] | None = None,
+    skew: bool = False,
+) -> Covariance:
+    """Least covariance that any unbiased estimate of the rig can have, from corners with Gaussian noise of ``noise_px`` per coordinate.
+
+    All board poses are unknown (nuisance) parameters. ``T_left_board`` holds one pose per view. The models' weak priors count as
+    information, as they do in the estimate.
+
+    Raises:
+        DegenerateGeometryError: The scene leaves parameters undetermined.
+    """
+    n_views, n = len(T_left_board.t), len(object_points_m)
+    cameras = []
+    for camera, is_seen in ((rig.left, left_is_seen), (rig.right, right_is_seen)):
+        model = camera_model(camera.model)
+        seen = np.ones((n_views, n), dtype=bool) if is_seen is None else np.asarray(is_seen, dtype=bool)
+        is_free = np.ones(model.n_parameters, dtype=bool)
+        is_free[4] = skew
+        cameras.append(CameraObservations(model, np.zeros((n_views, 2, n)), seen, is_free))
+    problem = BundleProblem(np.ascontiguousarray(np.asarray(object_points_m, dtype=float).T), tuple(cameras))
+    truth = BundleEstimate(
+        (rig.left.parameters, rig.right.parameters),
+        T_left_board.R,
+        T_left_board.t,
+        rig.T_right_left.R,
+        rig.T_right_left.t,
+    )
+    equations = linearize(problem, truth, np.asarray(noise_px), "squared")
+    return Covariance(shared_names(problem), shared_covariance(problem, truth, equations, noise_px))

@@ -1,0 +1,162 @@
+"""The guarded robust Levenberg-Marquardt loop over a batch of rigs.
+
+A candidate is kept only if the robust cost falls; a rejected one raises the damping. The scale of the kernel follows the median residual
+(MAD) of the estimate that is kept, so the kernel closes by itself as the fit improves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.solvers import robust
+from binocal.solvers.bundle import (
+    BundleEquations,
+    BundleEstimate,
+    BundleProblem,
+    linearize,
+    residual_lengths2,
+    retract,
+    select_equations,
+    select_rigs,
+    solve_step,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+
+LEAST_RATIO = 0.1  # the redescending kernel's weights lag one step behind, so no step shrinks by more
+
+
+@dataclass(frozen=True, slots=True)
+class LoopOptions:
+    """How the loop runs."""
+
+    kernel: robust.Kernel = "hampel"
+    scale_factor: float = 1.0
+    """Kernel scale over the MAD noise estimate; above 1 the kernel is kept open on purpose."""
+    max_iterations: int = 50
+    tolerance_sigma: float = 0.02
+    """Stop when the way left after a step is shorter than this: the norm over all unknowns, in standard deviations of the estimate.
+
+    The way left is the step times its ratio to the step before, at least 0.1; for one parameter among hundreds it is far shorter. On exact corners the tolerance is 10⁴ times smaller."""
+    initial_damping: float = 1e-6
+    damping_fall: float = 30.0
+    damping_rise: float = 10.0
+    least_raised_damping: float = 1e-6  # weak directions have eigenvalues of 1e-7 of the diagonal: less would not be felt
+    max_damping: float = 1e8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Minimum:
+    """Where the loop ended. ``equations`` were linearised at ``estimate`` with ``kernel`` and ``scale_px``."""
+
+    estimate: BundleEstimate
+    equations: BundleEquations
+    scale_px: Float[ndarray, "*batch"]
+    kernel: robust.Kernel
+    n_iterations: Int[ndarray, "*batch"]
+    is_converged: Bool[ndarray, "*batch"]
+    options: LoopOptions = field(default_factory=LoopOptions)
+
+
+def squared_residuals(problem: BundleProblem, equations: BundleEquations) -> tuple[ndarray, ndarray]:
+    """All cameras' squared residual lengths and visibility, flattened: two arrays (*batch, cameras * views * n)."""
+    r2 = [e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1) for e in equations.cameras]
+    return np.concatenate(r2, axis=-1), visibility(problem)
+
+
+def visibility(problem: BundleProblem) -> Bool[ndarray, "*batch corners"]:
+    """All cameras' seen corners, flattened."""
+    return np.concatenate([c.is_seen.reshape(*c.is_seen.shape[:-2], -1) for c in problem.cameras], axis=-1)
+
+
+def noise_estimate_px(problem: BundleProblem, equations: BundleEquations) -> Float[ndarray, "*batch"]:
+    """MAD estimate of the noise of one corner coordinate."""
+    return robust.scale_from_median(*squared_residuals(problem, equations))
+
+
+def _cost(problem: BundleProblem, equations: BundleEquations, scale_px: ndarray, kernel: robust.Kernel) -> ndarray:
+    """Robust cost of stored residuals under another scale."""
+    total = np.asarray(scale_px) ** 2 * equations.prior_energy
+    for e in equations.cameras:
+        r2 = e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1)
+        total = total + robust.costs(r2, np.asarray(scale_px)[..., None], kernel).sum(axis=-1)
+    return np.where(np.isfinite(equations.cost_px2), total, np.inf)
+
+
+def minimize(
+    problem: BundleProblem,
+    start: BundleEstimate,
+    options: LoopOptions | None = None,
+    *,
+    scale_px: Float[ndarray, "*batch"] | None = None,
+) -> Minimum:
+    """Robust minimum near ``start``. ``scale_px`` is a first guess of the kernel's scale (found from the residuals if None).
+
+    ``is_converged`` is False where the iterations ran out, or where no damping made the cost fall although a step was due.
+    """
+    options = options or LoopOptions()
+    kernel = options.kernel
+    batch = start.t_left_board.shape[:-2]
+    if scale_px is None:
+        noise_px = robust.scale_from_median(residual_lengths2(problem, start), visibility(problem))
+        scale = options.scale_factor * np.where(np.isfinite(noise_px), noise_px, 1.0)
+    else:
+        scale = np.broadcast_to(np.asarray(scale_px, dtype=float), batch).copy()
+    equations = linearize(problem, start, scale, kernel)
+    estimate, cost = start, equations.cost_px2
+    damping = np.full(batch, options.initial_damping)
+    last_step_px = np.full(batch, 1e-300)
+    n_iterations = np.zeros(batch, dtype=int)
+    is_converged = np.zeros(batch, dtype=bool)
+    is_running = np.isfinite(cost)
+    for _ in range(options.max_iterations):
+        if not is_running.any():
+            break
+        try:
+            step = solve_step(problem, estimate, equations, damping)
+        except np.linalg.LinAlgError:
+            damping = np.where(is_running, _raised(damping, options), damping)
+            is_running &= damping < options.max_damping
+            continue
+        candidate = retract(problem, estimate, step)
+        trial = linearize(problem, candidate, scale, kernel)
+        n_iterations += is_running
+        is_exact = scale <= options.scale_factor * robust.SCALE_FLOOR_PX
+        tolerance_px = options.tolerance_sigma * scale * np.where(is_exact, 1e-4, 1.0)
+        step_px = np.sqrt(np.maximum(2 * step.predicted_px2, 0))
+        is_short = step_px * np.clip(step_px / last_step_px, LEAST_RATIO, 1.0) < tolerance_px
+        is_better = trial.cost_px2 < cost
+        take = is_running & is_better
+        if take.all():
+            estimate, equations = candidate, trial
+        elif take.any():
+            estimate = select_rigs(take, candidate, estimate)
+            equations = select_equations(take, trial, equations)
+        mad = np.maximum(options.scale_factor * noise_estimate_px(problem, equations), 1e-300)
+        last_step_px = np.where(take, step_px, last_step_px)
+        is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
+        damping = np.where(take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping))
+        # exact corners: go on while the cost still falls by half, down to its rounding floor
+        is_floor = ~is_exact | ~(trial.cost_px2 < 0.5 * cost)
+        # a rejected step that was already too short to matter is convergence too
+        done = is_running & is_short & is_floor & (is_settled | ~take)
+        is_converged |= done
+        is_running &= ~done & (damping < options.max_damping)
+        new_scale = np.where(take & ~is_settled, mad, scale)
+        changed = new_scale != scale
+        if np.any(changed):
+            scale = new_scale
+            cost = np.where(changed, _cost(problem, equations, scale, kernel), np.where(take, equations.cost_px2, cost))
+        else:
+            cost = np.where(take, equations.cost_px2, cost)
+    return Minimum(estimate, equations, scale, kernel, n_iterations, is_converged, options)
+
+
+def _raised(damping: ndarray, options: LoopOptions) -> ndarray:
+    return np.maximum(damping * options.damping_rise, options.least_raised_damping)

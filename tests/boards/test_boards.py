@@ -1,0 +1,67 @@
+"""Board specifications and point orders."""
+
+import numpy as np
+import pytest
+
+from binocal.boards import Board, load_board, parse_board
+from binocal.errors import FormatError
+
+
+def test_chessboard_counts_inner_corners_row_by_row():
+    board = parse_board("chessboard:9x6:30mm")
+    points = board.object_points_m
+    assert points.shape == (54, 3)
+    assert np.allclose(points[1], [0.03, 0, 0]) and np.allclose(points[9], [0, 0.03, 0])
+
+
+@pytest.mark.parametrize(("text", "metres"), [("1in", 0.0254), ("2.5cm", 0.025), ("0.03m", 0.03), ("24.23mm", 0.02423)])
+def test_lengths_carry_units(text, metres):
+    board = parse_board(f"chessboard:9x6:{text}")
+    assert board.is_metric and board.pitch_m == pytest.approx(metres, rel=1e-15)
+
+
+@pytest.mark.parametrize("spec", ["chessboard:9x6", "chessboard:9x6:30"])
+def test_without_a_unit_the_scale_is_unknown(spec):
+    board = parse_board(spec)
+    assert not board.is_metric and board.pitch_m == 1.0
+
+
+def test_the_other_kinds():
+    assert parse_board("charuco:11x8:30mm:22mm:DICT_5X5_50").object_points_m.shape == (70, 3)
+    april = parse_board("aprilgrid:6x6:88mm:0.3").object_points_m
+    assert april.shape == (144, 3)
+    assert np.allclose(april[:4, :2], np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * 0.088)
+    assert np.allclose(april[4, :2], [1.3 * 0.088, 0])
+    assert parse_board("circles:10x10:30mm").n_points == 100
+    staggered = parse_board("acircles:4x11:20mm").object_points_m
+    assert np.allclose(staggered[4, :2], [0.02, 0.02]) and np.allclose(staggered[1, :2], [0.04, 0])
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ["", "chess", "chessboard:9", "chessboard:9x6:-3mm", "chessboard:9x6:3ft", "chessboard:1x6:3mm", "charuco:5x5:30mm",
+     "charuco:5x5:30mm:40mm:DICT_4X4_50", "charuco:5x5:30mm:20:DICT_4X4_50", "chessboard:9x6:30mm:4"],
+)
+def test_a_bad_spec_is_refused(spec):
+    with pytest.raises(ValueError, match=r"."):
+        parse_board(spec)
+
+
+def test_kalibr_targets_are_read(tmp_path):
+    path = tmp_path / "target.yaml"
+    path.write_text("target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 5\ntagSize: 0.088\ntagSpacing: 0.3\n")
+    board = load_board(str(path))
+    assert board == Board("aprilgrid", 6, 5, 0.088, dictionary="tag36h11", tag_gap_ratio=0.3)
+    path.write_text(
+        "target_type: 'checkerboard'\ntargetCols: 9\ntargetRows: 6\nrowSpacingMeters: 0.03\ncolSpacingMeters: 0.03\n"
+    )
+    assert load_board(str(path)) == parse_board("chessboard:9x6:30mm")
+
+
+def test_a_bad_board_file_is_named(tmp_path):
+    with pytest.raises(FormatError, match="no such board file"):
+        load_board(str(tmp_path / "none.yaml"))
+    path = tmp_path / "bad.yaml"
+    path.write_text("target_type: aprilgrid\n")
+    with pytest.raises(FormatError, match=r"bad\.yaml.*tagCols"):
+        load_board(str(path))

@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from binocal import app, errors
+from binocal.cameras import CAMERA_MODELS
+from binocal.cli import main
+from binocal.cli.verbs import Model
+from binocal.formats import native
+from fakes import Rooms
+from rigs import make_rig
+
+CALIBRATE = ["calibrate", "--left", "l/*.png", "--right", "r/*.png", "--board", "chessboard:11x8:10mm"]
+
+
+@pytest.fixture
+def rooms(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    return Rooms(monkeypatch)
+
+
+def one_document(capsys) -> dict:
+    """The one JSON document on stdout, without NaN."""
+    return json.loads(capsys.readouterr().out, parse_constant=lambda word: pytest.fail(f"{word} on stdout"))
+
+
+def test_models_are_the_registry():
+    assert [model.value for model in Model] == ["auto", *CAMERA_MODELS]
+
+
+def test_calibrate_writes_the_rig_and_a_summary(rooms, capsys):
+    assert main([*CALIBRATE, "--output", "new/rig.json"]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("warning: left and right look exchanged")
+    assert "gamma" in out and "baseline       mm" in out and "Views    6 used, 1 dropped" in out
+    assert "07: no board found in the right picture" in out and "Wrote    new/rig.json" in out
+    assert "ignored left99 copy.png: a copy of left99.png" in err and "dropped 07: no board found" in err
+    assert native.read_rig("new/rig.json").baseline_m == pytest.approx(rooms.rig.baseline_m)
+    assert os.listdir("new") == ["rig.json"]
+
+
+def test_json_is_exactly_one_document(rooms, capsys):
+    assert main([*CALIBRATE, "--json"]) == 0
+    document = one_document(capsys)
+    assert document["schema"] == "binocal/1" and document["output"] == "rig.json" and len(document["views"]) == 6
+    assert document["ignored"][0]["path"] == "left99 copy.png" and document["quality"]["is_met"] is True
+
+
+def test_options_reach_the_calibrator(rooms, capsys):
+    assert main([*CALIBRATE, "--model", "brown5", "--skew", "--seed", "3", "--preprocess"]) == 0
+    options = rooms.calls["calibrate"]
+    assert (options["model"], options["skew"], options["seed"], options["calibrator"]) == ("brown5", True, 3, "lm")
+    assert rooms.calls["preprocess"] is True
+
+
+def test_nothing_is_overwritten_and_no_work_is_lost(rooms, capsys, tmp_path):
+    (tmp_path / "rig.json").write_text("old")
+    assert main(CALIBRATE) == 3
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and "--force" in err and "list_pairs" not in rooms.calls
+    assert (tmp_path / "rig.json").read_text() == "old"
+    assert main([*CALIBRATE, "--force"]) == 0
+
+
+def test_below_the_quality_asked_for(rooms, capsys):
+    assert main([*CALIBRATE, "--max-rms", "0.1"]) == 4
+    assert "above --max-rms 0.1" in capsys.readouterr().out and os.path.exists("rig.json")
+    assert main([*CALIBRATE, "--max-rms", "0.2", "--force"]) == 0
+
+
+def test_opencv_beside(rooms, capsys):
+    assert main([*CALIBRATE, "--opencv", "rig.yml"]) == 0
+    assert main([*CALIBRATE, "--force", "--opencv", "rig.yml", "--skew"]) == 2
+    assert main([*CALIBRATE, "--output", "b.json", "--opencv", "rig.yml"]) == 3 and not os.path.exists("b.json")
+    assert "skew" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "exit_code", "code"),
+    [
+        (errors.TooFewViewsError(2, 3, {"05": "mismatched pair"}), 3, "too-few-views"),
+        (errors.DetectionError("no board in any picture.", {"01": "too dark"}), 3, "detection"),
+        (errors.FormatError("left01.png", "truncated"), 3, "format"),
+        (errors.NotConvergedError("the solver stopped at\na saddle."), 1, "not-converged"),
+        (errors.MissingExtraError("training", "train"), 1, "missing-extra"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_every_error_is_one_line_and_one_document(rooms, capsys, error, exit_code, code):
+    def fail(*_, **__):
+        raise error
+
+    rooms.calibrate = fail
+    assert main(CALIBRATE) == exit_code
+    out, err = capsys.readouterr()
+    assert out == "" and "Traceback" not in err and err.splitlines()[-1].startswith("binocal: ")
+    assert main([*CALIBRATE, "--json"]) == exit_code
+    document = one_document(capsys)
+    assert document["error"]["code"] == code and "\n" not in document["error"]["message"]
+    assert os.listdir() == []
+
+
+def test_an_error_lists_what_was_dropped(rooms, capsys):
+    def fail(*_, **__):
+        raise errors.TooFewViewsError(2, 3, {"05": "mismatched pair"})
+
+    rooms.calibrate = fail
+    main([*CALIBRATE, "--json"])
+    out, err = capsys.readouterr()
+    error = json.loads(out)["error"]
+    assert error["rejected"] == {"07": "no board found in the right picture", "05": "mismatched pair"}
+    assert (
+        error["found"] == 2
+        and error["needed"] == 3
+        and error["notes"] == ["ignored left99 copy.png: a copy of left99.png"]
+    )
+    assert err.splitlines()[:3] == [
+        "ignored left99 copy.png: a copy of left99.png",
+        "dropped 07: no board found in the right picture",
+        "dropped 05: mismatched pair",
+    ]
+
+
+def test_a_bug_is_not_dressed_up(rooms, capsys):
+    def fail(*_, **__):
+        raise ZeroDivisionError("a bug")
+
+    rooms.calibrate = fail
+    with pytest.raises(ZeroDivisionError):
+        main([*CALIBRATE, "--json"])
+    assert one_document(capsys)["error"]["code"] == "internal"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nope"],
+        ["calibrate"],
+        [*CALIBRATE, "--model", "brown9"],
+        [*CALIBRATE, "--calibrator", "magic"],
+        [*CALIBRATE, "--max-rms", "-1"],
+        [*CALIBRATE[:-1], "chess"],
+        ["simulate", "--board", "chessboard:11x8", "--pairs", "2", "--output", "out"],
+        ["simulate", "--board", "chessboard:11x8:10mm", "--pairs", "0", "--output", "out"],
+        ["evaluate", "rig.json"],
+        ["evaluate", "rig.json", "--truth", "t.json", "--left", "l"],
+        ["evaluate", "rig.json", "--left", "l", "--right", "r"],
+        ["bench", "nope"],
+    ],
+)
+def test_wrong_usage(rooms, capsys, arguments):
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and "--help" in err
+    if arguments != ["nope"]:
+        assert main([*arguments, "--json"]) == 2
+        assert one_document(capsys)["error"]["code"] == "usage"
+    assert os.listdir() == []
+
+
+def test_without_arguments_help_is_shown(capsys):
+    assert main([]) == 2 and "calibrate" in capsys.readouterr().out
+    assert main(["--help"]) == 0 and "Exit codes" in capsys.readouterr().out
+    assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("binocal ")
+
+
+def test_simulate_then_evaluate_against_the_truth(rooms, capsys):
+    assert main(["simulate", "--board", "chessboard:11x8:10mm", "--pairs", "6", "--output", "out"]) == 0
+    assert "6 pairs" in capsys.readouterr().out
+    assert main(CALIBRATE) == 0
+    capsys.readouterr()
+    assert main(["evaluate", "rig.json", "--truth", "out/truth.json"]) == 0
+    out = capsys.readouterr().out
+    assert "rotation error            0.0000 deg" in out and "parameter accuracy (20)   100 % (22 of 22)" in out
+    assert main(["evaluate", "rig.json", "--truth", "out/truth.json", "--json"]) == 0
+    assert one_document(capsys)["parameter_accuracy_percent"] == 100
+
+
+def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
+    native.write_calibration(
+        "rig.json", app.calibrate_pictures("l", "r", app.Board.from_spec(CALIBRATE[-1])).calibration
+    )
+    arguments = ["simulate", "--rig", "rig.json", "--board", "chessboard:11x8:10mm", "--pairs", "2", "--output", "out"]
+    assert main([*arguments, "--json"]) == 0
+    document = one_document(capsys)
+    assert len(document["views"]) == 2 and document["noise_dn"] == 3.0 and document["output"] == "out"
+    assert main(arguments) == 3 and "--force" in capsys.readouterr().err
+    assert main([*arguments[:2], "no.json", *arguments[3:], "--force"]) == 3
+
+
+def test_evaluate_on_pictures(rooms, capsys):
+    native.write_calibration(
+        "rig.json", app.calibrate_pictures("l", "r", app.Board.from_spec(CALIBRATE[-1])).calibration
+    )
+    arguments = ["evaluate", "rig.json", *CALIBRATE[1:]]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert "relative length error (RMS)" in out and "rectified row error (RMS)" in out and "1 dropped" in out
+    assert main([*arguments, "--json"]) == 0
+    assert one_document(capsys)["relative_length_error_percent"]["rms"] < 1e-6
+
+
+def test_demo(rooms, capsys):
+    assert main(["demo", "--output", "demo"]) == 0
+    out = capsys.readouterr().out
+    assert "10mm board: 6 pairs" in out and "20mm board" in out and "left.fx px" in out
+    assert main(["demo", "--output", "demo"]) == 3
+    capsys.readouterr()
+    assert main(["demo", "--output", "demo", "--force", "--json"]) == 0
+    assert [case["board"] for case in one_document(capsys)["cases"]] == ["10mm", "20mm"]
+
+
+def test_bench_prints_its_rows(rooms, capsys):
+    assert main(["bench", "solver"]) == 0
+    assert capsys.readouterr().out == "20 pairs: 18.8 times\n"
+    assert main(["bench", "solver", "--json"]) == 0
+    assert one_document(capsys) == {"benchmark": "solver", "seed": 0, "rows": [{"pairs": 20}]}
+
+
+def test_unknown_scale_is_in_squares(rooms, capsys):
+    rooms.rig = make_rig(t=(-3.0, 0.0, 0.1), is_metric=False)
+    assert main(CALIBRATE) == 0
+    out = capsys.readouterr().out
+    assert "squares" in out and " mm" not in out

@@ -1,0 +1,21 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+settings.register_profile("binocal", deadline=None, max_examples=50, print_blob=True)
+settings.load_profile("binocal")
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of the real pictures: BINOCAL_DATA, else ../shared/data from the project's root."""
+    places = [Path(os.environ["BINOCAL_DATA"])] if os.environ.get("BINOCAL_DATA") else []
+    places.append(Path(__file__).resolve().parents[2] / "shared" / "data")
+    for place in places:
+        if place.is_dir():
+            return place
+    pytest.skip(f"no real pictures: neither BINOCAL_DATA nor {places[-1]} is a folder")

@@ -1,0 +1,131 @@
+"""Stand-ins for the heavy rooms, so that the shells are tested alone: exact corners instead of pictures."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from binocal.geometry import SE3
+from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from rigs import make_detections, make_poses, make_rig
+
+
+@dataclass(frozen=True)
+class Pair:
+    name: str
+    left_path: Path
+    right_path: Path
+
+
+@dataclass(frozen=True)
+class Pairing:
+    pairs: tuple[Pair, ...]
+    ignored: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class PairDetections:
+    detections: Any
+    rejected: tuple[RejectedView, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    blur_px: float
+    noise_dn: float
+
+
+@dataclass(frozen=True)
+class RenderedPicture:
+    image: np.ndarray
+    corners_px: np.ndarray
+
+
+@dataclass(frozen=True)
+class BoardPoses:
+    T_left_board: SE3
+    is_found: np.ndarray
+
+
+class Rooms:
+    """The fake rooms; a test changes a function to make its own weather."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.rig, self.poses = make_rig(), make_poses(6, np.random.default_rng(0))
+        self.detections = make_detections(self.rig, self.poses)
+        self.rejected = (RejectedView("07", "no board found in the right picture"),)
+        self.calibrate: Callable[..., StereoCalibration] = self._calibrate
+        self.calls: dict[str, Any] = {}
+        rooms = {
+            "binocal.calibrators": {"calibrate": self._call_calibrate, "CALIBRATORS": {"lm": None}},
+            "binocal.datasets": {},
+            "binocal.datasets.folder": {"list_pairs": self._list_pairs},
+            "binocal.detection": {"detect_pairs": self._detect_pairs},
+            "binocal.simulation": {
+                "table2_rig": lambda: self.rig,
+                "sample_board_poses": lambda rig, board, n_views, rng: make_poses(n_views, rng),
+                "RenderOptions": RenderOptions,
+                "render_picture": self._render_picture,
+            },
+            "binocal.solvers": {},
+            "binocal.solvers.covariance": {"cramer_rao_bound": self._bound},
+            "binocal.solvers.poses": {"estimate_board_poses": self._estimate_board_poses},
+            "binocal.benchmark": {"run": self._bench},
+        }
+        for name, content in rooms.items():
+            module = ModuleType(name)
+            vars(module).update(content)
+            monkeypatch.setitem(sys.modules, name, module)
+
+    def _list_pairs(self, left: str, right: str) -> Pairing:
+        self.calls["list_pairs"] = (left, right)
+        pairs = tuple(Pair(name, Path(f"left{name}.png"), Path(f"right{name}.png")) for name in self.detections.names)
+        return Pairing(pairs, (("left99 copy.png", "a copy of left99.png"),))
+
+    def _detect_pairs(self, pairs, board, *, progress=None, should_stop=None, n_threads=None, preprocess=False):
+        self.calls["preprocess"] = preprocess
+        if progress:
+            progress(len(pairs), len(pairs))
+        return PairDetections(self.detections, self.rejected, ("left and right pictures differ in size",))
+
+    def _call_calibrate(self, detections, **options):
+        self.calls["calibrate"] = options
+        return self.calibrate(detections, **options)
+
+    def _calibrate(self, detections, *, calibrator, model, skew, seed, progress) -> StereoCalibration:
+        names = tuple(f"{side}.{name}" for side in ("left", "right") for name in ("fx", "fy", "cx", "cy", "k1"))
+        names += tuple(f"{block}.{axis}" for block in ("rotation", "translation") for axis in "xyz")
+        sigma = np.r_[np.full(10, 0.05), np.full(3, 1e-5), np.full(3, 2e-6)]
+        views = tuple(ViewResult(name, 0.1, 0.1, 0.1, 176) for name in detections.names)
+        return StereoCalibration(
+            self.rig, Covariance(names, np.diag(sigma**2)), ResidualSummary(0.11, 0.12, 0.115), 0.08, views,
+            warnings=("left and right look exchanged; swap --left and --right.",), provenance={"iterations": 5},
+        )  # fmt: skip
+
+    def _bound(
+        self, rig, object_points_m, T_left_board, noise_px, *, left_is_seen=None, right_is_seen=None, skew=False
+    ):
+        self.calls["bound"] = {"n_views": len(T_left_board.t), "noise_px": noise_px, "n_seen": int(left_is_seen.sum())}
+        return replace(
+            self._calibrate(self.detections, calibrator="", model="", skew=skew, seed=0, progress=None)
+        ).covariance
+
+    def _estimate_board_poses(self, rig, detections):
+        return BoardPoses(self.poses, np.isfinite(detections.left_px[..., 0]).sum(axis=1) >= 4)
+
+    def _render_picture(self, camera, T_camera_board, board, options, rng):
+        noise = rng.integers(0, 255, camera.size_wh[::-1], dtype=np.uint8)
+        return RenderedPicture(noise, camera.project(T_camera_board.apply(board.object_points_m)))
+
+    def _bench(self, name, *, seed=0):
+        if name != "solver":
+            raise ValueError(f"unknown benchmark {name!r}; known: solver")
+        return {"benchmark": name, "seed": seed, "rows": [{"pairs": 20}], "text": "20 pairs: 18.8 times"}

@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binocal import app
+from binocal.boards import parse_board
+from binocal.errors import DataError, OutputExistsError, TooFewViewsError
+from binocal.formats import native
+from binocal.metrics.pose import scaled
+from fakes import Rooms
+from rigs import make_poses, make_rig
+
+BOARD = parse_board("chessboard:11x8:10mm")
+
+
+@pytest.fixture
+def rooms(monkeypatch):
+    return Rooms(monkeypatch)
+
+
+@pytest.fixture
+def truth(rooms):
+    return native.Truth(rooms.rig, BOARD, rooms.detections.names, rooms.poses, 3.0, 0.8)
+
+
+def test_a_calibration_says_what_became_of_every_file(rooms):
+    seen = []
+    options = app.CalibrateOptions(model="brown4", preprocess=True, seed=7)
+    run = app.calibrate_pictures("l", "r", BOARD, options, progress=lambda *step: seen.append(step))
+    assert rooms.calls["list_pairs"] == ("l", "r") and rooms.calls["preprocess"] is True
+    assert rooms.calls["calibrate"]["model"] == "brown4" and rooms.calls["calibrate"]["seed"] == 7
+    assert run.calibration.rejected == rooms.rejected and run.ignored == (("left99 copy.png", "a copy of left99.png"),)
+    provenance = run.calibration.provenance
+    assert provenance["iterations"] == 5 and provenance["seed"] == 7 and provenance["board"] == "chessboard:11x8:10mm"
+    assert len(provenance["input_sha256"]["left"]) == 64 and seen == [("finding corners", 6, 6)]
+
+
+def test_an_error_carries_what_was_dropped_before_it(rooms):
+    def too_few(*_, **__):
+        raise TooFewViewsError(2, 3, {"05": "mismatched pair"})
+
+    rooms.calibrate = too_few
+    with pytest.raises(TooFewViewsError) as caught:
+        app.calibrate_pictures("l", "r", BOARD)
+    assert caught.value.rejected == {"07": "no board found in the right picture", "05": "mismatched pair"}
+    assert caught.value.__notes__ == ["ignored left99 copy.png: a copy of left99.png"]
+
+
+def test_a_simulation_is_repeatable_and_complete(rooms, tmp_path):
+    truths = [app.simulate(make_rig(), BOARD, 3, tmp_path / name, app.SimulateOptions(seed=5)) for name in "ab"]
+    names = sorted(os.listdir(tmp_path / "a"))
+    assert names == [*(f"{side}_{i:02d}.png" for side in ("left", "right") for i in range(3)), "truth.json"]
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert sorted(os.listdir(tmp_path)) == ["a", "b"]
+    np.testing.assert_array_equal(
+        native.read_truth(tmp_path / "a" / "truth.json").T_left_board.t, truths[0].T_left_board.t
+    )
+    other = app.simulate(make_rig(), BOARD, 3, tmp_path / "c", app.SimulateOptions(seed=6))
+    assert np.abs(other.T_left_board.t - truths[0].T_left_board.t).max() > 1e-4
+
+
+def test_an_interrupted_simulation_leaves_nothing(rooms, tmp_path, monkeypatch):
+    def interrupt(stage, done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        app.simulate(make_rig(), BOARD, 3, tmp_path / "out", progress=interrupt)
+    assert os.listdir(tmp_path) == []
+
+
+def test_force_replaces_the_old_pictures_and_nothing_else(rooms, tmp_path):
+    out = tmp_path / "out"
+    app.simulate(make_rig(), BOARD, 4, out)
+    (out / "mine.txt").write_text("keep")
+    with pytest.raises(OutputExistsError):
+        app.simulate(make_rig(), BOARD, 2, out)
+    app.simulate(make_rig(), BOARD, 2, out, force=True)
+    assert sorted(os.listdir(out)) == [
+        "left_00.png",
+        "left_01.png",
+        "mine.txt",
+        "right_00.png",
+        "right_01.png",
+        "truth.json",
+    ]
+
+
+def test_a_board_without_a_size_is_not_simulated(rooms, tmp_path):
+    with pytest.raises(ValueError, match="needs its size"):
+        app.simulate(make_rig(), parse_board("chessboard:11x8"), 3, tmp_path / "out")
+    with pytest.raises(ValueError, match="nothing to render"):
+        app.simulate(make_rig(), BOARD, 0, tmp_path / "out")
+
+
+def test_the_truth_is_met_with_the_bound_of_the_views_used(rooms, truth):
+    calibration = app.calibrate_pictures("l", "r", BOARD).calibration
+    used = replace(calibration, views=calibration.views[:4])
+    evaluation = app.evaluate_truth(used, truth)
+    assert evaluation.comparison.rotation_error_deg == 0 and evaluation.comparison.has_bound
+    assert rooms.calls["bound"] == {"n_views": 4, "noise_px": 0.08, "n_seen": 4 * 88} and evaluation.noise_px == 0.08
+    strangers = replace(calibration, views=tuple(replace(view, name="x") for view in calibration.views))
+    assert "no view of the calibration" in app.evaluate_truth(strangers, truth).notes[0]
+    fisheye = replace(calibration, rig=make_rig("fisheye4"))
+    assert "cannot say" in app.evaluate_truth(fisheye, truth).notes[0]
+
+
+def test_a_rig_in_pitches_is_scaled_by_the_truths_board(rooms, truth):
+    calibration = app.calibrate_pictures("l", "r", BOARD).calibration
+    in_pitches = replace(calibration, rig=replace(scaled(rooms.rig, 100.0), is_metric=False))
+    evaluation = app.evaluate_truth(in_pitches, truth)
+    assert evaluation.comparison.translation_error_mm < 1e-9 and "board pitches" in evaluation.notes[0]
+
+
+def test_pictures_are_judged_without_truth(rooms):
+    evaluation = app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
+    assert evaluation.pixel_error.all_px < 1e-9 and evaluation.length_error.scale_rms_percent < 1e-7
+    assert evaluation.row_error.rms_px < 1e-6 and evaluation.rejected == rooms.rejected
+
+
+def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(rooms):
+    left = rooms.detections.left_px.copy()
+    left[1] = np.nan
+    rooms.detections = replace(rooms.detections, left_px=left)
+    evaluation = app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
+    assert np.isnan(evaluation.pixel_error.view_rms_px).tolist() == [False, True] + 4 * [False]
+    assert evaluation.pixel_error.n_corners == 5 * 2 * 88 and evaluation.length_error.n_views == 5
+
+
+def test_a_suspect_view_is_named(rooms):
+    right = rooms.detections.right_px + 0.02 * np.random.default_rng(0).standard_normal(rooms.detections.right_px.shape)
+    right[2] += 3.0
+    rooms.detections = replace(rooms.detections, right_px=right)
+    notes = app.evaluate_pictures(rooms.rig, "l", "r", BOARD).notes
+    assert [note.split(":")[0] for note in notes if "may not belong together" in note] == ["view 2"]
+
+
+def test_units_and_sizes_must_agree(rooms):
+    with pytest.raises(DataError, match="give the board's length a unit"):
+        app.evaluate_pictures(rooms.rig, "l", "r", parse_board("chessboard:11x8"))
+    rooms.detections = replace(rooms.detections, right_size_wh=(640, 480))
+    with pytest.raises(DataError, match="right pictures are 640x480, the rig's right camera is 1280x960"):
+        app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
+
+
+def test_the_demonstration_compares_both_boards(rooms, tmp_path):
+    rooms.poses = make_poses(6, np.random.default_rng(0))
+    cases = app.demo(tmp_path / "demo", n_pairs=6)
+    assert [case.name for case in cases] == ["10mm", "20mm"]
+    for case in cases:
+        assert {"rig.json", "truth.json", "left_00.png", "right_05.png"} <= set(os.listdir(case.folder))
+        assert (
+            case.evaluation.comparison.parameter_accuracy_percent == 100 and case.length_error.scale_rms_percent < 1e-7
+        )
+    with pytest.raises(OutputExistsError):
+        app.demo(tmp_path / "demo", n_pairs=6)

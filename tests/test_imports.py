@@ -1,0 +1,53 @@
+"""What a fresh process loads, and that every public name is there."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+
+import pytest
+
+import binocal
+
+HEAVY = {"cv2", "scipy", "typer", "click", "rich", "pydantic", "torch", "matplotlib", "yaml"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter has loaded after the code."""
+    show = "\nimport sys; print('\\n' + ' '.join({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code + show], capture_output=True, text=True, timeout=60, check=True)
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_import_binocal_loads_numpy_at_most():
+    assert not loaded_by("import binocal") & HEAVY
+
+
+def test_the_value_types_load_numpy_and_no_more():
+    loaded = loaded_by(
+        "import binocal; binocal.Board, binocal.SE3, binocal.StereoRig, binocal.Detections, binocal.read_rig"
+    )
+    assert "numpy" in loaded and not loaded & HEAVY
+
+
+def test_help_loads_nothing_heavy():
+    loaded = loaded_by("from binocal.cli import main; main(['--help']); main(['calibrate', '--help'])")
+    assert "typer" in loaded and not loaded & (HEAVY - {"typer", "click", "pydantic"} | {"numpy"})  # pydantic: by typer
+
+
+def test_the_verbs_load_no_more_than_they_need():
+    assert not loaded_by("import binocal.app") & (HEAVY - {"yaml"})
+
+
+@pytest.mark.parametrize("name", sorted(set(binocal.__all__) - {"__version__"}))
+def test_every_public_name_is_there(name):
+    home = binocal._HOME_OF[name]
+    if importlib.util.find_spec(home) is None:
+        pytest.skip(f"{home} is not part of this installation")
+    assert getattr(binocal, name) is not None and name in dir(binocal)
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = binocal.nothing
