@@ -41,10 +41,10 @@ def list_pairs(
 ) -> Pairing:
     """Pairs of left and right pictures, each side given as a glob, a folder, a file or a sequence of files.
 
-    Pictures are paired by what their names share once the part that tells the sides apart is taken away (left01 and right01,
-    imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they tell pictures apart. Nothing is
-    paired by position: orphans, copies ("left03 (1).jpg") and double numbers are listed in ``ignored``. Two single files are
-    a pair whatever they are called.
+    Pictures are paired by what their names share once the part that tells the sides apart is taken away (left01 and
+    right01, imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they tell pictures
+    apart. Nothing is paired by position: orphans, copies ("left03 (1).jpg") and double numbers are listed in
+    ``ignored``. Two single files are a pair whatever they are called.
 
     Raises:
         DataError: A side holds no picture, no name is shared, or left and right are the same pictures.
@@ -64,8 +64,9 @@ def list_pairs(
                     f"{left} and {right}: left and right are the same pictures; name each camera's own pictures."
                 )
             raise DataError(
-                f"{len(lefts)} left and {len(rights)} right pictures share no name or number (such as {lefts[0].name} and "
-                f"{rights[0].name}); give pictures of one moment the same number, such as left01.png and right01.png."
+                f"{len(lefts)} left and {len(rights)} right pictures share no name or number (such as "
+                f"{lefts[0].name} and {rights[0].name}); give pictures of one moment one number, "
+                "such as left01.png and right01.png."
             )
         candidates = _match(naming, lefts, rights, ignored)
     if len({pair.name for pair in candidates}) < len(candidates):

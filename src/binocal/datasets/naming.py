@@ -49,8 +49,9 @@ def natural_key(text: str) -> list[tuple[int, int, str]]:
 def find_naming(lefts: Sequence[Path], rights: Sequence[Path]) -> Naming | None:
     """The naming that pairs most pictures; None where nothing is shared.
 
-    Tried in this order of belief: the file's stem, the path below the common folder, the numbers that vary. A substitution
-    of tokens (left -> right) makes the rest comparable; a number counts as the side's mark only where it is constant over the side.
+    Tried in this order of belief: the file's stem, the path below the common folder, the numbers that vary. A
+    substitution of tokens (left -> right) makes the rest comparable; a number counts as the side's mark only where it
+    is constant over the side.
     """
     folder = Path(os.path.commonpath([*(path.parent for path in lefts), *(path.parent for path in rights)]))
     views: list[Callable[[Path], str]] = [
@@ -189,7 +190,10 @@ def _without_leading_zeros(
 
 
 def _name_by_varying_numbers(lefts: Sequence[Path], rights: Sequence[Path]) -> list[Naming]:
-    """Namings by the stem's numbers that change within a side, together or one alone; the last resort for unlike names."""
+    """Namings by the stem's numbers that change within a side, together or one alone.
+
+    The last resort for unlike names.
+    """
     sides = []
     for paths in (lefts, rights):
         numbers = {path: tuple(re.findall(r"\d+", path.stem)) for path in paths}

@@ -32,7 +32,8 @@ def read_picture(path: str | PathLike[str]) -> Picture:
     """The pixels of a PNG, JPEG, TIFF, BMP or PNM file as the sensor wrote them.
 
     Grey pictures are (h, w), colour ones (h, w, 3) in OpenCV's blue-green-red order; uint8 or uint16. Transparency is
-    dropped. An EXIF orientation is ignored on purpose: a calibration belongs to the sensor's pixels, not to their display.
+    dropped. An EXIF orientation is ignored on purpose: a calibration belongs to the sensor's pixels, not to their
+    display.
 
     Raises:
         FormatError: The file is missing, empty, truncated, no picture, or of an unsupported depth; the text says which.

@@ -1,7 +1,7 @@
-"""AprilGrids: a grid of 36h11 tags whose corners touch small black squares, as Kalibr prints them, or without the squares.
+"""AprilGrids: grids of 36h11 tags whose corners touch small black squares, as Kalibr prints them, or touch nothing.
 
-Prints differ in three ways that the pictures tell: the tag's black border is one or two bits wide (Kalibr: two), ids count from
-the top-left or from the bottom-left tag (Kalibr), and a tag's own up may be turned against the board's.
+Prints differ in three ways that the pictures tell: the tag's black border is one or two bits wide (Kalibr: two), ids
+count from the top-left or from the bottom-left tag (Kalibr), and a tag's own up may be turned against the board's.
 """
 
 from __future__ import annotations
@@ -24,13 +24,15 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Float32, Int
 
 MIN_TAGS = 2  # one tag does not tell how the ids run
-L_CORNER_BIAS_PX = 0.1  # cornerSubPix on tag corners that touch nothing; measured .08 to .10 on rendered grids, blur 0.8 px
+L_CORNER_BIAS_PX = (
+    0.1  # cornerSubPix on tag corners that touch nothing; measured .08 to .10 on rendered grids, blur 0.8 px
+)
 MAX_MISFIT = 0.2  # median distance from a smooth plane, tag sides: a wrong hypothesis is off by a whole tag
 
 
 @dataclass(frozen=True, slots=True)
 class TagLayout:
-    """How the tags were printed: ids from the bottom-left tag or from the top-left one, and the tag's quarter turns (clockwise)."""
+    """How the tags were printed: ids from the bottom-left tag or the top-left one, and the tags' quarter turns."""
 
     is_bottom_up: bool
     turns: int
@@ -39,9 +41,10 @@ class TagLayout:
 def detect_aprilgrid(
     grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board, layout: TagLayout | None = None
 ) -> tuple[FoundBoard, TagLayout | None]:
-    """The tag corners of an AprilGrid, partly visible or not, and the layout that the picture itself proves (None: none).
+    """The tag corners of an AprilGrid, partly visible or not, and the layout that the picture proves (None: none).
 
-    Points are in the order of the board as it hangs upright, whichever way its ids run. With a ``layout`` given it is taken.
+    Points are in the order of the board as it hangs upright, whichever way its ids run. With a ``layout`` given it is
+    taken.
     """
     ids, quads, border_bits = _find_tags(to_8_bit(stretched), board.columns * board.rows)
     if len(ids) == 0:
@@ -51,18 +54,22 @@ def detect_aprilgrid(
     if not known.any():
         last = board.first_tag_id + board.columns * board.rows - 1
         return not_found(
-            board.n_points, f"tags with ids {ids.min()} to {ids.max()} found; the board has {board.first_tag_id} to {last}"
+            board.n_points,
+            f"tags with ids {ids.min()} to {ids.max()} found; the board has {board.first_tag_id} to {last}",
         ), None
     tags, quads = tags[known], quads[known]
     if len(tags) < MIN_TAGS:
         return not_found(board.n_points, f"only {len(tags)} tag of the board found; at least {MIN_TAGS} needed"), None
-    ranked = sorted(((_misfit(board, tags, quads, choice), i, choice) for i, choice in enumerate(_LAYOUTS)), key=lambda r: r[:2])
+    ranked = sorted(
+        ((_misfit(board, tags, quads, choice), i, choice) for i, choice in enumerate(_LAYOUTS)), key=lambda r: r[:2]
+    )
     is_proved = ranked[0][0] < MAX_MISFIT and ranked[1][0] > max(3 * ranked[0][0], 0.05)
     proved = ranked[0][2] if is_proved else None
     chosen = layout or ranked[0][2]
     if not _misfit(board, tags, quads, chosen) < MAX_MISFIT:
         return not_found(
-            board.n_points, f"its {len(tags)} tags do not lie as on a {board.columns}x{board.rows} grid with gaps of {board.tag_gap_ratio:g}"
+            board.n_points,
+            f"its {len(tags)} tags do not lie as on a {board.columns}x{board.rows} grid, gap {board.tag_gap_ratio:g}",
         ), proved
     found = _measure(grey, stretched, board, tags, quads, chosen, border_bits)
     if found.is_found and layout is None and proved is None:
@@ -76,8 +83,8 @@ _LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (False, True
 def _find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
     """Tags of either border width, in the picture with its dark parts thinned by a pixel and, if need be, as it is.
 
-    Thinning parts the tags from the small squares that touch their corners and would merge them into one outline; it shrinks a
-    tag by a pixel on each side, which refinement takes back.
+    Thinning parts the tags from the small squares that touch their corners and would merge them into one outline; it
+    shrinks a tag by a pixel on each side, which refinement takes back.
     """
     dictionary = get_dictionary("DICT_APRILTAG_36h11")
     thinned = cv2.dilate(grey8, np.ones((3, 3), np.uint8))
@@ -128,13 +135,19 @@ def _measure(
     points[np.linalg.norm(points - rough, axis=1) > np.maximum(0.15 * side, 2.5)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= 4:
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], 0.5 * side[seen])]] = np.nan
+        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], 0.5 * side[seen])]] = (
+            np.nan
+        )
         seen = np.isfinite(points[:, 0])
     if seen.sum() < 4:
-        return not_found(n, f"only {seen.sum()} tag corners could be measured; the picture is too blurred or the tags are too small")
+        return not_found(
+            n, f"only {seen.sum()} tag corners could be measured; the picture is too blurred or the tags are too small"
+        )
     covariance = corner_covariance(grey, points, side, per_spacing=room)
     note = ""
-    radius = max(2.0, 0.5 * float(np.median(side[seen])) * min(board.tag_gap_ratio, border_bits / (6 + 2 * border_bits)))
+    radius = max(
+        2.0, 0.5 * float(np.median(side[seen])) * min(board.tag_gap_ratio, border_bits / (6 + 2 * border_bits))
+    )
     if read_rings(stretched, points[seen], radius)[0].mean() < 0.5:
         covariance = covariance + L_CORNER_BIAS_PX**2 * np.eye(2)
         note = "the tags' corners touch no black squares, which costs accuracy (about 0.1 px); Kalibr's print has them"

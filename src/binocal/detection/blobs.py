@@ -94,7 +94,7 @@ def _fit_ellipse(contour: ndarray, shortest: int) -> tuple[float, ...] | None:
 
 
 def _merge(found: list[tuple[float, ...]], picture: ndarray) -> Blobs:
-    """One blob per spot: of those that share a centre, the one that fits an ellipse best and stands out from its surroundings."""
+    """One blob per spot: of those that share a centre, the best ellipse, if it stands out from its surroundings."""
     kept: list[tuple[float, ...]] = []
     taken: dict[tuple[int, int], list[tuple[float, ...]]] = {}
     height, width = picture.shape
@@ -128,14 +128,17 @@ def _merge(found: list[tuple[float, ...]], picture: ndarray) -> Blobs:
 
 
 def refine_centres(grey: ndarray, blobs: Blobs, *, is_dark: bool) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"]]:
-    """Centroids of the spots' own grey values above a fitted plane of background, and their variance, px^2; NaN where none.
+    """Centroids of the spots' own grey values above a fitted plane of background, and their variance, px^2.
 
+    NaN where none.
     Weighting by grey makes the centroid exact under any symmetric blur, as long as the patch holds the whole spot.
     """
     image = grey.astype(np.float32)
     noise_dn = estimate_noise_dn(grey)
     centres, variance = np.full((len(blobs), 2), np.nan), np.full(len(blobs), np.nan)
-    for i, ((x, y), (major, minor), angle) in enumerate(zip(blobs.centres_px, blobs.axes_px, blobs.angles_rad, strict=True)):
+    for i, ((x, y), (major, minor), angle) in enumerate(
+        zip(blobs.centres_px, blobs.axes_px, blobs.angles_rad, strict=True)
+    ):
         for _ in range(2):
             fit = _centroid(image, x, y, major, minor, angle, is_dark)
             if fit is None:

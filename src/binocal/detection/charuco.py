@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
+import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -12,7 +13,7 @@ from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.markers import apply_homography, find_markers, get_dictionary, to_8_bit
 from binocal.detection.refinement import corner_covariance, refine_corners
-from binocal.detection.regularity import find_irregular, fit_homography, grid_residuals
+from binocal.detection.regularity import find_irregular, grid_residuals
 from binocal.detection.xcorners import read_rings
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ class _Reading:
 def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
     """Square (column, row) of each marker, by id.
 
-    Both layouts fill the white squares row by row. They differ where the number of rows is even: the current one (OpenCV 4.6 on)
-    has a dark square at the top left, the legacy one a white square with marker 0.
+    Both layouts fill the white squares row by row. They differ where the number of rows is even: the current one
+    (OpenCV 4.6 on) has a dark square at the top left, the legacy one a white square with marker 0.
     """
     first = 0 if layout == "legacy" and board.rows % 2 == 0 else 1
     return np.array([(x, y) for y in range(board.rows) for x in range(board.columns) if (x + y) % 2 == first])
@@ -46,36 +47,59 @@ def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
 def detect_charuco(
     grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board, layout: Layout = ""
 ) -> tuple[FoundBoard, Layout]:
-    """The inner corners of a ChArUco board, partly visible or not, and the layout that the picture itself proves ("": neither).
+    """The inner corners of a ChArUco board, partly visible or not, and the layout the picture proves ("": neither).
 
-    With a ``layout`` given it is taken; without, the one on which the markers fit a plane (the current one if both do, with a note).
+    With a ``layout`` given it is taken; without, the one on which the markers fit a plane (the current one if both do,
+    with a note).
     """
     ids, quads = find_markers(to_8_bit(stretched), get_dictionary(board.dictionary))
     if len(ids) == 0:
         return not_found(board.n_points, f"no marker of {board.dictionary} found"), ""
-    known = ids < len(marker_squares(board, "current"))
+    n_board = len(marker_squares(board, "legacy"))  # where the counts differ, the legacy layout has one more
+    known = ids < n_board
     if not known.any():
-        return not_found(board.n_points, f"markers have ids from {ids.min()} on; the board has 0 to {(~known).sum() - 1}"), ""
+        return not_found(board.n_points, f"markers have ids from {ids.min()} on; the board has 0 to {n_board - 1}"), ""
     readings = {name: _read_layout(board, name, ids[known], quads[known]) for name in ("current", "legacy")}
     proved = _prove_layout(board, readings)
     reading = readings[layout or proved or "current"]
     n_markers = int(known.sum())
     if not reading.misfit < 0.5:
-        return not_found(board.n_points, f"its {n_markers} markers do not lie as on a {board.columns}x{board.rows} board"), proved
+        size = f"{board.columns}x{board.rows}"
+        return not_found(board.n_points, f"its {n_markers} markers do not lie as on a board of {size} squares"), proved
     found = _measure(grey, stretched, board, quads[known], reading)
     if found.is_found and not layout and not proved and board.rows % 2 == 0:
-        found = replace(found, note="the board's layout (current or legacy) cannot be told from this picture; current taken")
+        found = replace(
+            found, note="the board's layout (current or legacy) cannot be told from this picture; current taken"
+        )
     return found, proved
 
 
 def _read_layout(board: Board, layout: Layout, ids: ndarray, quads: ndarray) -> _Reading:
-    squares = marker_squares(board, layout)[ids]
+    by_id = marker_squares(board, layout)
+    squares = by_id[np.minimum(ids, len(by_id) - 1)]
     margin = 0.5 * (1 - board.marker_m / board.pitch_m)
     offsets = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 - 2 * margin) + margin
     xy = (squares[:, None] + offsets).reshape(-1, 2)
     points = quads.reshape(-1, 2)
     sides = np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).mean()
     return _Reading(layout, squares, float(np.median(grid_residuals(xy, points))) / float(sides))
+
+
+def find_columns(stretched: Float32[ndarray, "h w"], board: Board) -> int:
+    """Number of columns for which the picture's markers of the board's dictionary lie on a plane.
+
+    0 if none or several do.
+    """
+    ids, quads = find_markers(to_8_bit(stretched), get_dictionary(board.dictionary))
+    if len(ids) < 6:
+        return 0
+    fitting = set()
+    for columns in range(2, 31):
+        rows = 2 * (int(ids.max()) // columns + 2)  # even, so that the layouts differ, and enough for every id
+        trial = replace(board, columns=columns, rows=rows)
+        if any(_read_layout(trial, layout, ids, quads).misfit < 0.1 for layout in ("current", "legacy")):
+            fitting.add(columns)
+    return fitting.pop() if len(fitting) == 1 else 0
 
 
 def _prove_layout(board: Board, readings: dict[str, _Reading]) -> Layout:
@@ -99,11 +123,14 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
     points[~_are_x_corners(stretched, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= MIN_CORNERS:
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = np.nan
+        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
+            np.nan
+        )
         seen = np.isfinite(points[:, 0])
     if seen.sum() < MIN_CORNERS or not _span_plane(board.object_points_m[seen, :2]):
         return not_found(
-            board.n_points, f"only {seen.sum()} corners seen beside {len(quads)} markers; at least {MIN_CORNERS} off one line needed"
+            board.n_points,
+            f"only {seen.sum()} corners seen beside {len(quads)} markers; at least {MIN_CORNERS} off one line needed",
         )
     return FoundBoard(points, corner_covariance(grey, points, spacing, per_spacing=room))
 
@@ -115,17 +142,19 @@ def _span_plane(xy: Float[ndarray, "n 2"]) -> bool:
 
 
 def _predict(board: Board, quads: ndarray, reading: _Reading) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"]]:
-    """Where each corner must be by the markers beside it, and the square's side there; NaN without a marker, or where two disagree."""
+    """Where each corner must be by the markers beside it, and the square's side there.
+
+    NaN without a marker, or where two disagree.
+    """
     columns, rows = board.columns - 1, board.rows - 1
     margin = 0.5 * (1 - board.marker_m / board.pitch_m)
     inner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 - 2 * margin) + margin
+    inner = inner.astype(np.float32)
     outer = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     guesses: list[list[ndarray]] = [[] for _ in range(columns * rows)]
     sides: list[list[float]] = [[] for _ in range(columns * rows)]
     for (x, y), quad in zip(reading.squares, quads, strict=True):
-        H = fit_homography(inner, quad)
-        if not np.isfinite(H).all():
-            continue
+        H = cv2.getPerspectiveTransform(inner, quad.astype(np.float32))
         square = apply_homography(H, outer)
         side = float(np.linalg.norm(square - np.roll(square, -1, axis=0), axis=1).min())
         for corner, (dx, dy) in zip(square, outer.astype(int), strict=True):
@@ -141,7 +170,10 @@ def _predict(board: Board, quads: ndarray, reading: _Reading) -> tuple[Float[nda
 
 
 def _are_x_corners(stretched: ndarray, points: ndarray, spacing: ndarray) -> Bool[ndarray, "n"]:
-    """Whether four sectors meet at each point; the ring stays within the gap between the corner and the marker's code."""
+    """Whether four sectors meet at each point.
+
+    The ring stays within the gap between the corner and the marker's code.
+    """
     is_corner = np.zeros(len(points), bool)
     radius = np.clip(np.nan_to_num(0.14 * spacing), 2.0, 8.0).round()
     for value in np.unique(radius):

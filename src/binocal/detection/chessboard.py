@@ -15,14 +15,16 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices
 from binocal.detection.refinement import corner_covariance, refine_corners
 from binocal.detection.regularity import find_irregular
-from binocal.detection.xcorners import find_x_corners
+from binocal.detection.xcorners import find_x_corners, sample
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32
 
 MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
-_RIVAL_SPACING = 0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
+_RIVAL_SPACING = (
+    0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,17 +40,19 @@ class _Level:
 def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
     """The inner corners of a chessboard; ``stretched`` is the same picture as float32 in 0..255.
 
-    Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's two
-    (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the lower
-    right of the picture is chosen, which is the same in both cameras of a rig unless the board is turned by 135 degrees.
+    Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's
+    two (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the
+    lower right of the picture is chosen, which is the same in both cameras of a rig unless the board is turned by 135
+    degrees.
     """
     size = (max(board.columns, board.rows), min(board.columns, board.rows))
     partial: tuple[Lattice, _Level] | None = None
     other: Lattice | None = None
+    previous: tuple[int, int] | None = None
     for level in _search_levels(stretched, size):
         exact = [lattice for lattice in level.lattices if lattice.size == size]
         if exact and exact[0].n_seen == board.n_points:
-            return _finish(grey, board, exact[0], level)
+            return _finish(grey, stretched, board, exact[0], level)
         if exact and (partial is None or exact[0].n_seen > partial[0].n_seen):
             partial = exact[0], level
         rivals = _boards(level.lattices)
@@ -56,21 +60,27 @@ def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: 
             return _several(board, rivals)
         if rivals and (other is None or rivals[0].n_seen > other.n_seen):
             other = rivals[0]
+        larger = rivals[0].size if rivals and (rivals[0].size[0] > size[0] or rivals[0].size[1] > size[1]) else None
+        if larger is not None and larger == previous and not exact:
+            break  # two levels agree on a larger board
+        previous = larger
     if partial and partial[0].n_seen >= MIN_SHARE_SEEN * board.n_points:
-        return _finish(grey, board, *partial)
+        return _finish(grey, stretched, board, *partial)
     spec = f"{board.columns}x{board.rows}"
-    if other is None or partial is not None:
+    if other is None or (partial is not None and partial[0].n_seen >= other.n_seen):
         seen = partial[0].n_seen if partial else 0
         text = f"only {seen} of the {board.n_points} corners were seen" if seen else "no chessboard found"
         return not_found(board.n_points, text)
     columns, rows = other.size
     if columns > size[0] or rows > size[1]:
         return _too_large(board, other.size)
-    return not_found(board.n_points, f"only {columns}x{rows} corners of the board's {spec} were seen", size_seen=other.size)
+    return not_found(
+        board.n_points, f"only {columns}x{rows} corners of the board's {spec} were seen", size_seen=other.size
+    )
 
 
 def find_chessboard_size(stretched: Float32[ndarray, "h w"]) -> tuple[int, int] | None:
-    """Columns and rows (the larger first) of the largest complete chessboard in a picture of which nothing else is known."""
+    """Columns and rows (the larger first) of the largest complete chessboard in a picture."""
     best: Lattice | None = None
     for level in _search_levels(stretched, None):
         for lattice in _boards(level.lattices)[:1]:
@@ -80,7 +90,10 @@ def find_chessboard_size(stretched: Float32[ndarray, "h w"]) -> tuple[int, int] 
 
 
 def _search_levels(stretched: Float32[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[_Level]:
-    """The picture's lattices, coarse to fine; most boards are found at the first level, at a fraction of the cost of the last."""
+    """The picture's lattices, coarse to fine.
+
+    Most boards are found at the first level, at a fraction of the cost of the last.
+    """
     longest = max(stretched.shape)
     halvings = max(0, int(np.floor(np.log2(longest / COARSEST_PX))))
     settings = [(0.5**k, 1.5, 5.0) for k in range(halvings, -1, -1)] + [(1.0, 1.0, 3.0)]
@@ -96,12 +109,12 @@ def _search_levels(stretched: Float32[ndarray, "h w"], size: tuple[int, int] | N
         yield _Level(smooth, scale, radius_px, find_lattices(smooth, corners, radius_px, least=least, size=size))
 
 
-def _boards(lattices: list[Lattice]) -> list[Lattice]:
-    """The lattices that are boards: regular, nearly complete, and not much smaller than the largest of them."""
-    boards: list[Lattice] = []
+def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattice]:
+    """The lattices that are boards: regular, nearly complete, not much smaller than the main one (else the largest)."""
+    boards = [] if main is None else [main]
     for lattice in lattices:
         rows, columns = lattice.points_px.shape[:2]
-        if min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_SEEN * rows * columns or not _is_regular(lattice):
+        if lattice is main or min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_SEEN * rows * columns:
             continue
         if boards and (
             lattice.n_seen < 0.4 * boards[0].n_seen
@@ -109,7 +122,8 @@ def _boards(lattices: list[Lattice]) -> list[Lattice]:
             or any(_overlap(lattice, board) for board in boards)
         ):
             continue
-        boards.append(lattice)
+        if _is_regular(lattice):
+            boards.append(lattice)
     return boards
 
 
@@ -147,13 +161,18 @@ def _spacing(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows col
     return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
-def _finish(grey: ndarray, board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
+def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
     """Orient, refine at full resolution and check a lattice of the board's size."""
-    rivals = [other for other in _boards(level.lattices) if other is not lattice and not _overlap(other, lattice)]
+    rivals = _boards(level.lattices, lattice)[1:]
     if len(rivals) > 1 or any(rival.size == lattice.size for rival in rivals):
         return _several(board, [lattice, *rivals])
     if continues_beyond(level.smooth, lattice, level.radius_px):
         return _too_large(board, None)
+    full = (lattice.points_px + 0.5) / level.scale - 0.5
+    if _are_squares_patterned(stretched, full, lattice.is_dark_first):
+        return not_found(
+            board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
+        )
     grid = (_orient(lattice, board) + 0.5) / level.scale - 0.5
     spacing = _spacing(grid).ravel()
     coarse = grid.reshape(-1, 2)
@@ -161,11 +180,14 @@ def _finish(grey: ndarray, board: Board, lattice: Lattice, level: _Level) -> Fou
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= max(4, MIN_SHARE_SEEN * board.n_points):
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = np.nan
+        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
+            np.nan
+        )
         seen = np.isfinite(points[:, 0])
     if seen.sum() < max(4, MIN_SHARE_SEEN * board.n_points):
         return not_found(
-            board.n_points, f"the corners do not lie on a smooth grid ({seen.sum()} of {board.n_points} do); too blurred or covered?"
+            board.n_points,
+            f"the corners do not lie on a smooth grid ({seen.sum()} of {board.n_points} do); too blurred or covered?",
         )
     notes = []
     if not seen.all():
@@ -173,6 +195,26 @@ def _finish(grey: ndarray, board: Board, lattice: Lattice, level: _Level) -> Fou
     if rivals:
         notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the picture")
     return FoundBoard(points, corner_covariance(grey, points, spacing), note="; ".join(notes))
+
+
+def _are_squares_patterned(
+    stretched: Float32[ndarray, "h w"], grid: Float[ndarray, "rows columns 2"], is_dark_first: bool
+) -> bool:
+    """Whether the bright squares are not plain: a marker fills most of its square with dark, shading only tints it."""
+    corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)  # (rows, columns, 4, 2)
+    share = np.linspace(0.2, 0.8, 7)
+    v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
+    values = sample(stretched, np.nan_to_num(weights @ corners))
+    rows, columns = values.shape[:2]
+    is_whole = np.isfinite(corners[..., 0]).all(axis=2)
+    is_bright = (np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)
+    if not (is_bright & is_whole).any() or not (~is_bright & is_whole).any():
+        return False
+    dark = np.median(values[~is_bright & is_whole])
+    bright = np.percentile(values[is_bright & is_whole], 95)
+    share_dark = np.mean(values[is_bright & is_whole] < 0.5 * (dark + bright), axis=-1)
+    return bool(np.median(share_dark) > 0.25)
 
 
 def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:
@@ -183,7 +225,9 @@ def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:
         if grid.shape[:2] == (board.rows, board.columns):
             way = np.nanmean(grid[:, -1] - grid[:, 0], axis=0)
             choices.append((is_dark_first, float(way.sum() / np.linalg.norm(way)), grid))
-        is_dark_first ^= bool((grid.shape[1] - 1) % 2)  # the next first corner is the present row's last
+        # The next first corner is the present row's last; its outward square is of the other colour unless the row is
+        # even.
+        is_dark_first ^= bool(grid.shape[1] % 2)
         grid = np.rot90(grid)
     return max(choices, key=lambda choice: choice[:2])[2]
 
@@ -193,14 +237,16 @@ def _several(board: Board, rivals: list[Lattice]) -> FoundBoard:
     more = ", ..." if len(rivals) > 6 else ""
     return not_found(
         board.n_points,
-        f"more than one board in the picture ({len(rivals)}: {sizes}{more}); show one at a time, or cover or crop the others",
+        f"more than one board in the picture ({len(rivals)}: {sizes}{more}); show one at a time, or cover the others",
     )
 
 
 def _too_large(board: Board, size: tuple[int, int] | None) -> FoundBoard:
     spec = f"{board.columns}x{board.rows}"
     if size is None:
-        return not_found(board.n_points, f"the printed board continues beyond {spec} corners; count its inner corners again")
+        return not_found(
+            board.n_points, f"the printed board continues beyond {spec} corners; count its inner corners again"
+        )
     return not_found(
         board.n_points,
         f"the printed board continues beyond {spec} corners; the SPEC is probably chessboard:{size[0]}x{size[1]}",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -30,20 +29,26 @@ _BASES = [
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
-    """Blobs as the board's points: index of each board point's blob, -1 where none; None where the board does not fit."""
+    """Blobs as the board's points: index of each board point's blob, -1 where none.
+
+    None where the board does not fit.
+    """
 
     blob_of_point: Int[ndarray, "n"] | None
     size_seen: tuple[int, int]
     way: float
-    """How far the rows run to the lower right, -1.4 to 1.4; decides between orientations that nothing else tells apart."""
+    """How far the rows run to the lower right, -1.4 to 1.4.
+
+    Decides between orientations that nothing else tells apart.
+    """
 
 
 def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
     """The circles' centres; the whole board must be visible.
 
     Centres are those of the circles themselves: the shift of a disc's centroid under perspective is taken out with the
-    homography of the whole grid. A symmetric grid looks the same turned by half (a square one by a quarter); the orientation
-    whose rows run most to the lower right of the picture is chosen, as with chessboards.
+    homography of the whole grid. A symmetric grid looks the same turned by half (a square one by a quarter); the
+    orientation whose rows run most to the lower right of the picture is chosen, as with chessboards.
     """
     least = max(4, board.n_points // 2)
     best: tuple[int, tuple[int, int]] | None = None
@@ -55,6 +60,9 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
             match = _match(lattice, blobs, board)
             if match.blob_of_point is not None:
                 return _finish(grey, board, blobs, match.blob_of_point, is_dark)
+            columns, rows = match.size_seen
+            if min(columns, rows) < 2 or len(lattice.members) < (1 - MAX_SHARE_MISSING) * columns * rows:
+                continue  # a chance lattice of the clutter
             if best is None or len(lattice.members) > best[0]:
                 best = len(lattice.members), match.size_seen
     spec = f"{board.columns}x{board.rows}"
@@ -67,7 +75,11 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
             f"the grid continues beyond the SPEC's {spec} circles; the SPEC is probably {board.kind}:{columns}x{rows}",
             size_seen=(columns, rows),
         )
-    return not_found(board.n_points, f"only {n_seen} of the {board.n_points} circles seen ({columns}x{rows})", size_seen=(columns, rows))
+    return not_found(
+        board.n_points,
+        f"only {n_seen} of the {board.n_points} circles seen ({columns}x{rows})",
+        size_seen=(columns, rows),
+    )
 
 
 def _match(lattice: LatticePoints, blobs: Blobs, board: Board) -> _Match:
@@ -133,8 +145,9 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
 def _centroid_shift(
     xy: Float[ndarray, "n 2"], centres: Float[ndarray, "n 2"], areas_px2: Float[ndarray, "n"]
 ) -> Float[ndarray, "n 2"]:
-    """Centroid of each disc's image minus the image of its centre, pixels (Heikkilä 2000 treats the ellipse; here the outline).
+    """Centroid of each disc's image minus the image of its centre, pixels.
 
+    Source: Heikkilä 2000, "Geometric camera calibration using circular control points"; there ellipses, here outlines.
     The discs' radius follows from their areas in the picture; the lens bends the shift by less than a tenth of itself.
     """
     scale = np.abs(xy - xy.mean(axis=0)).max()
@@ -143,8 +156,9 @@ def _centroid_shift(
     if not np.isfinite(H).all():
         return np.zeros_like(centres)
     step = 1e-3
-    dx = (apply_homography(H, plane + [step, 0]) - apply_homography(H, plane - [step, 0])) / (2 * step)
-    dy = (apply_homography(H, plane + [0, step]) - apply_homography(H, plane - [0, step])) / (2 * step)
+    along_x, along_y = np.array([step, 0.0]), np.array([0.0, step])
+    dx = (apply_homography(H, plane + along_x) - apply_homography(H, plane - along_x)) / (2 * step)
+    dy = (apply_homography(H, plane + along_y) - apply_homography(H, plane - along_y)) / (2 * step)
     magnification = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
     radius = float(np.sqrt(np.median(areas_px2 / magnification) / np.pi))
     angle = np.arange(72) * (2 * np.pi / 72)

@@ -37,7 +37,7 @@ def detect(image: ndarray, board: Board) -> FoundBoard:
 def detect_in_layout(
     image: ndarray, board: Board, layout: Layout | TagLayout | None
 ) -> tuple[FoundBoard, Layout | TagLayout | None]:
-    """As :func:`detect`, for marker boards with the print's layout given (None: from the picture), and the one the picture proves.
+    """As :func:`detect`, with a marker board's layout given (None: from the picture), and the one the picture proves.
 
     Raises:
         ValueError: The array is not a picture.
@@ -58,8 +58,8 @@ def detect_in_layout(
 
 
 def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:
-    """The picture as float32 in 0..255, its contrast stretched (8-bit: at most fourfold), and what makes it useless, if anything."""
-    step = max(1, min(grey.shape) // 200)
+    """The picture as float32 in 0..255, stretched (8-bit: at most fourfold), and what makes it useless, if anything."""
+    step = max(1, min(grey.shape) // 120)
     low, high = (float(value) for value in np.percentile(grey[::step, ::step], (0.5, 99.5)))
     span = high - low
     top = 255.0 if grey.dtype == np.uint8 else float(grey.max())

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 class FoundBoard:
     """The board's points in one picture, in the board's own order.
 
-    ``points_px`` is NaN where a point was not seen, all NaN where the board was not found; ``reason`` then says why, and is empty
-    otherwise. ``covariance_px2`` is each point's estimated covariance (isotropic for now), NaN where it was not seen. ``note``
-    tells what a careful reader should know of a found board. ``size_seen`` is the size of the grid that was seen instead of the
-    board's (columns and rows, the larger first), for hints.
+    ``points_px`` is NaN where a point was not seen, all NaN where the board was not found; ``reason`` then says why,
+    and is empty otherwise. ``covariance_px2`` is each point's estimated covariance (isotropic for now), NaN where it
+    was not seen. ``note`` tells what a careful reader should know of a found board. ``size_seen`` is the size of the
+    grid that was seen instead of the board's (columns and rows, the larger first), for hints.
     """
 
     points_px: Float[ndarray, "n 2"]
@@ -34,7 +34,9 @@ class FoundBoard:
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         if self.points_px.ndim != 2 or self.covariance_px2.shape != (*self.points_px.shape, 2):
-            raise ValueError(f"points (n, 2) need covariances (n, 2, 2); got {self.points_px.shape}, {self.covariance_px2.shape}")
+            raise ValueError(
+                f"points (n, 2) need covariances (n, 2, 2); got {self.points_px.shape}, {self.covariance_px2.shape}"
+            )
 
     @property
     def is_seen(self) -> Bool[ndarray, "n"]:

@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.datasets.pictures import read_grey_picture
+from binocal.detection.charuco import find_columns
 from binocal.detection.chessboard import find_chessboard_size
 from binocal.detection.detect import detect, stretch
 from binocal.detection.found import FoundBoard
@@ -19,11 +20,18 @@ from binocal.detection.markers import find_markers, to_8_bit
 from binocal.errors import FormatError
 
 MOST_TRIED = 3
-_FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11")
+_FAMILIES = (
+    "DICT_4X4_1000",
+    "DICT_5X5_1000",
+    "DICT_6X6_1000",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_36h11",
+)
 
 
 def hint_from_sizes(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> tuple[str, int]:
-    """A hint from grids of another size that were seen instead of the board's, and in how many pictures the same one was."""
+    """A hint from grids of another size that were seen instead of the board's, and in how many pictures."""
     sizes = Counter(result.size_seen for _, result in found if result.size_seen is not None)
     if not sizes:
         return "", 0
@@ -44,10 +52,10 @@ def hint_by_trying(paths: Sequence[Path], board: Board) -> str:
         if len(pictures) == MOST_TRIED:
             break
     for path, grey in pictures:
-        hint = _try_boards(path, grey, board) or _try_families(path, grey, board)
+        hint = _try_boards(path, grey, board)
         if hint:
             return hint
-    return ""
+    return _try_families(*pictures[0], board) if pictures and board.kind in ("charuco", "aprilgrid") else ""
 
 
 def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
@@ -59,12 +67,19 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
         trials.append(replace(board, kind="acircles" if board.kind == "circles" else "circles"))
     for trial in trials:
         if detect(grey, trial).is_found:
-            return f"found a {trial.columns}x{trial.rows} {trial.kind} in {path.name}: did you mean {trial.kind}:{trial.columns}x{trial.rows}?"
-    if board.kind in ("circles", "acircles", "chessboard"):
+            size = f"{trial.columns}x{trial.rows}"
+            return f"found a {size} {trial.kind} in {path.name}: did you mean {trial.kind}:{size}?"
+    if board.kind == "charuco":
+        columns = find_columns(stretch(grey)[0], board)
+        if columns and columns != board.columns:
+            return f"the markers in {path.name} fit a board {columns} squares wide: count columns and rows again."
+    if board.kind in ("circles", "acircles"):
         stretched, problem = stretch(grey)
         size = None if problem else find_chessboard_size(stretched)
         if size is not None:
-            return f"found a {size[0]}x{size[1]} chessboard in {path.name}: did you mean chessboard:{size[0]}x{size[1]}?"
+            return (
+                f"found a {size[0]}x{size[1]} chessboard in {path.name}: did you mean chessboard:{size[0]}x{size[1]}?"
+            )
     return ""
 
 

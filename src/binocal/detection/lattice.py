@@ -1,7 +1,7 @@
 """Lattices of X-corners: neighbours are linked along their edges, links grow into grids with integer coordinates.
 
-Nothing here knows the board: every chessboard pattern in the picture comes out with its own number of columns and rows, which
-is what tells a wrong SPEC, a second board or a half-hidden one.
+Nothing here knows the board: every chessboard pattern in the picture comes out with its own number of columns and rows,
+which is what tells a wrong SPEC, a second board or a half-hidden one.
 """
 
 from __future__ import annotations
@@ -21,17 +21,19 @@ if TYPE_CHECKING:
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # in the turning sense of the rays: x towards y
 MAX_TURN_RAD = np.radians(25)  # between an edge at a corner and the way to the neighbour; fisheye edges bend up to 15
 N_NEIGHBOURS = 14
-# A row of true corners has an edge between any two of them. Along the board's outer border only every second square differs
-# from the margin, and chance corners of the clutter have no edges at all: 0.7 parts them.
+# A row of true corners has an edge between any two of them. Along the board's outer border only every second square
+# differs from the margin, and chance corners of the clutter have no edges at all: 0.7 parts them.
 MIN_BORDER_SHARE = 0.7
-# Perspective and fisheye lenses change the step from one row to the next by up to 0.2; margins narrower than a square by more.
+# Perspective and fisheye lenses change the step from one row to the next by up to 0.2; margins narrower than a square
+# by more.
 MAX_STEP_BREAK = 0.28
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """A grid of corners: ``points_px[row, column]``, NaN where none was seen; columns x rows turns as x towards y in the picture.
+    """A grid of corners: ``points_px[row, column]``, NaN where none was seen.
 
+    Columns x rows turns as x towards y in the picture.
     ``is_dark_first`` tells that the square beyond corner (0, 0), outwards, is dark.
     """
 
@@ -52,8 +54,14 @@ class Lattice:
         return max(rows, columns), min(rows, columns)
 
 
-def find_lattices(smooth: Float32[ndarray, "h w"], corners: XCorners, radius_px: float, *, least: int = 9,
-                  size: tuple[int, int] | None = None) -> list[Lattice]:
+def find_lattices(
+    smooth: Float32[ndarray, "h w"],
+    corners: XCorners,
+    radius_px: float,
+    *,
+    least: int = 9,
+    size: tuple[int, int] | None = None,
+) -> list[Lattice]:
     """The lattices of at least ``least`` corners, the largest first.
 
     With a ``size`` (corners along the longer and the shorter side) weak border rows are looked for until it is reached.
@@ -72,7 +80,8 @@ def find_lattices(smooth: Float32[ndarray, "h w"], corners: XCorners, radius_px:
         grid = np.full((rows, columns, 3), np.nan)
         grid[cells[:, 1] - low[1], cells[:, 0] - low[0], :2] = corners.points_px[members]
         grid[cells[:, 1] - low[1], cells[:, 0] - low[0], 2] = corners.contrast_dn[members]
-        # Ray 0 has its bright sector after it: with turn 0 the sector between steps +x and +y is bright, so is the one opposite.
+        # Ray 0 has its bright sector after it: with turn 0 the sector between steps +x and +y is bright, so is the one
+        # opposite.
         column, row = cells[0] - low
         is_bright_first = (turns[0] % 2 == 0) ^ bool((column + row) % 2)
         grid = _fill(smooth, grid, is_bright_first, radius_px)
@@ -84,7 +93,10 @@ def find_lattices(smooth: Float32[ndarray, "h w"], corners: XCorners, radius_px:
 
 
 def _link(smooth: ndarray, corners: XCorners) -> tuple[Int[ndarray, "n 4"], Int[ndarray, "n 4"]]:
-    """For each corner and ray the neighbour along it (-1: none) and which of the neighbour's rays points back; mutual links only."""
+    """For each corner and ray the neighbour along it (-1: none) and which of the neighbour's rays points back.
+
+    Mutual links only.
+    """
     points = corners.points_px.astype(float)
     n = len(points)
     k = min(N_NEIGHBOURS, n - 1)
@@ -118,16 +130,24 @@ def _link(smooth: ndarray, corners: XCorners) -> tuple[Int[ndarray, "n 4"], Int[
     return neighbour, back_ray
 
 
-def _follow_edge(smooth: ndarray, start: ndarray, way: ndarray, length: ndarray, sign: ndarray, contrast: ndarray) -> ndarray:
+def _follow_edge(
+    smooth: ndarray, start: ndarray, way: ndarray, length: ndarray, sign: ndarray, contrast: ndarray
+) -> ndarray:
     """Where one side of the way is brighter than the other all along it, by at least 0.3 of the corners' contrast."""
     along = start[:, None] + way[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1)[:, None] * np.clip(0.22, 1.5 / np.maximum(length, 1), 0.4)[:, None, None]
+    normal = (
+        np.stack([-way[:, 1], way[:, 0]], axis=-1)[:, None]
+        * np.clip(0.22, 1.5 / np.maximum(length, 1), 0.4)[:, None, None]
+    )
     step = sample(smooth, along + normal) - sample(smooth, along - normal)
     return (sign[:, None] * step > 0.3 * contrast[:, None]).all(axis=1)
 
 
 def _grow(neighbour: ndarray, back_ray: ndarray) -> list[tuple[ndarray, ndarray, ndarray]]:
-    """Connected corners with integer cells (column, row) and the turn of their rays; a corner whose links disagree is left out."""
+    """Connected corners with integer cells (column, row) and the turn of their rays.
+
+    A corner whose links disagree is left out.
+    """
     links, backs = neighbour.tolist(), back_ray.tolist()
     degree = (neighbour >= 0).sum(axis=1)
     seen = [False] * len(links)
@@ -159,7 +179,7 @@ def _grow(neighbour: ndarray, back_ray: ndarray) -> list[tuple[ndarray, ndarray,
 
 
 def _fill(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float) -> ndarray:
-    """The grid with holes found where it predicts them, with half the contrast, and edges to most of their neighbours."""
+    """The grid with holes filled where it predicts corners: half the contrast will do, most edges must be seen."""
     for _ in range(3):
         predicted, spacing = predict_missing(grid[..., :2])
         rows, columns = np.nonzero(np.isfinite(predicted[..., 0]))
@@ -176,7 +196,9 @@ def _fill(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: floa
     return grid
 
 
-def _extend(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float, size: tuple[int, int]) -> tuple[ndarray, bool]:
+def _extend(
+    smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float, size: tuple[int, int]
+) -> tuple[ndarray, bool]:
     """The grid with weak border rows and columns added, as long as it stays within ``size`` (larger number first)."""
     while True:
         best_share, best = 0.0, None
@@ -197,7 +219,9 @@ def _extend(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: fl
         grid, is_bright_first = best
 
 
-def _see_edges(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> tuple[Int[ndarray, "r c-1"], Int[ndarray, "r-1 c"]]:
+def _see_edges(
+    smooth: ndarray, grid: ndarray, is_bright_first: bool
+) -> tuple[Int[ndarray, "r c-1"], Int[ndarray, "r-1 c"]]:
     """Edges between neighbours along rows and along columns: 1 seen, -1 not seen, 0 an end is missing."""
     rows, columns = grid.shape[:2]
     parity = np.where((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0) == is_bright_first, 1.0, -1.0)
@@ -226,8 +250,13 @@ def _count_neighbours(along_row: ndarray, along_column: ndarray, value: int) -> 
     return count
 
 
-def predict_missing(grid: Float[ndarray, "rows columns 2"]) -> tuple[Float[ndarray, "rows columns 2"], Float[ndarray, "rows columns"]]:
-    """Where a missing corner should be, by straight continuation of its row and column; NaN where present or unpredictable."""
+def predict_missing(
+    grid: Float[ndarray, "rows columns 2"],
+) -> tuple[Float[ndarray, "rows columns 2"], Float[ndarray, "rows columns"]]:
+    """Where a missing corner should be, by straight continuation of its row and column.
+
+    NaN where present or unpredictable.
+    """
     rows, columns = grid.shape[:2]
     padded = np.pad(grid, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
     core = (slice(2, rows + 2), slice(2, columns + 2))
@@ -258,7 +287,10 @@ def predict_missing(grid: Float[ndarray, "rows columns 2"]) -> tuple[Float[ndarr
 
 
 def _search(smooth: ndarray, predicted: ndarray, spacing: ndarray, radius_px: float) -> Float[ndarray, "n 3"]:
-    """The best X-corner (x, y, contrast) within 0.25 spacings of each prediction, on a 5 x 5 pattern; NaN where there is none."""
+    """The best X-corner (x, y, contrast) within 0.25 spacings of each prediction, on a 5 x 5 pattern.
+
+    NaN where there is none.
+    """
     offsets = np.stack(np.meshgrid(np.linspace(-0.24, 0.24, 5), np.linspace(-0.24, 0.24, 5)), axis=-1).reshape(-1, 2)
     centres = (predicted[:, None] + offsets * spacing[:, None, None]).reshape(-1, 2)
     height, width = smooth.shape
@@ -268,7 +300,9 @@ def _search(smooth: ndarray, predicted: ndarray, spacing: ndarray, radius_px: fl
     score = np.where(is_corner & inside, contrast * np.exp(-2 * bend), -1).reshape(len(predicted), -1)
     best = score.argmax(axis=1)
     index = np.arange(len(predicted))
-    found = np.concatenate([centres, contrast[:, None]], axis=1).reshape(len(predicted), -1, 3)[index, best].astype(float)
+    found = (
+        np.concatenate([centres, contrast[:, None]], axis=1).reshape(len(predicted), -1, 3)[index, best].astype(float)
+    )
     found[score[index, best] <= 0] = np.nan
     return found
 
@@ -292,8 +326,12 @@ def _border_shares(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> lis
     """
     along_row, along_column = _see_edges(smooth, grid, is_bright_first)
     shares = []
-    for turned, edges in ((grid, along_row[0]), (grid[::-1], along_row[-1]), (grid.transpose(1, 0, 2), along_column[:, 0]),
-                          (grid.transpose(1, 0, 2)[::-1], along_column[:, -1])):
+    for turned, edges in (
+        (grid, along_row[0]),
+        (grid[::-1], along_row[-1]),
+        (grid.transpose(1, 0, 2), along_column[:, 0]),
+        (grid.transpose(1, 0, 2)[::-1], along_column[:, -1]),
+    ):
         share = np.count_nonzero(edges > 0) / len(edges)
         if np.isfinite(turned[0, :, 0]).mean() < 0.5 or _step_break(turned[..., :2]) > MAX_STEP_BREAK:
             share = 0.0
@@ -302,7 +340,10 @@ def _border_shares(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> lis
 
 
 def _step_break(grid: ndarray) -> float:
-    """How far the first row is from the straight continuation of the next two, in steps (median); 0 where it cannot be told."""
+    """How far the first row is from the straight continuation of the next two, in steps (median).
+
+    0 where it cannot be told.
+    """
     if len(grid) < 3:
         return 0.0
     step = grid[1] - grid[2]
@@ -311,7 +352,7 @@ def _step_break(grid: ndarray) -> float:
 
 
 def continues_beyond(smooth: Float32[ndarray, "h w"], lattice: Lattice, radius_px: float) -> bool:
-    """Whether weak corners go on beyond one of the lattice's borders, so that the printed board is larger than the lattice."""
+    """Whether weak corners go on beyond one of the lattice's borders: the printed board is larger than the lattice."""
     contrast = np.where(np.isfinite(lattice.points_px[..., :1]), lattice.contrast_dn, np.nan)
     grid = np.concatenate([lattice.points_px, contrast], axis=-1)
     for side in range(4):

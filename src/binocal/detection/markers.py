@@ -31,8 +31,9 @@ def get_dictionary(name: str) -> cv2.aruco.Dictionary:
 def find_markers(
     grey8: UInt8[ndarray, "h w"], dictionary: cv2.aruco.Dictionary, *, border_bits: int = 1
 ) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"]]:
-    """Ids and corners of the markers seen; corners in the marker's own order (top-left first as printed), good to about 1 px.
+    """Ids and corners of the markers seen.
 
+    Corners in the marker's own order (top-left first as printed), good to about 1 px.
     A marker whose id is seen twice is left out, for at least one of the two is wrong.
     """
     parameters = cv2.aruco.DetectorParameters()

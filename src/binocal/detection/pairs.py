@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's pictures; with fewer it is not clear which size the camera has
+MIN_SHARE_OF_HINT = 0.2  # of the pictures must agree on another size before it is proposed
 _SIDES = ("left", "right")
 
 
@@ -68,18 +69,21 @@ def detect_pairs(
 ) -> PairDetections:
     """The board in every picture of every pair.
 
-    A view that one camera saw is kept, with NaN for the other camera. An unreadable picture, or one of another size than the rest
-    of its camera's, rejects its view. ``progress`` is called with pictures done and pictures in all, ``should_stop`` is asked
-    after each picture; OpenCV's own threads are switched off meanwhile, because the pictures already fill ``n_threads`` (all cores).
+    A view that one camera saw is kept, with NaN for the other camera. An unreadable picture, or one of another size
+    than the rest of its camera's, rejects its view. ``progress`` is called with pictures done and pictures in all,
+    ``should_stop`` is asked after each picture; OpenCV's own threads are switched off meanwhile, because the pictures
+    already fill ``n_threads`` (all cores).
 
     Raises:
-        DetectionError: The board was found in no picture, or most pictures show a board of another size; with a hint if there is one.
-        DataError: There is no pair, no readable picture, or a camera's pictures have no common size.
+        DetectionError: The board was found in no picture, or most pictures show a board of another size; with a hint if
+        there is one. DataError: There is no pair, no readable picture, or a camera's pictures have no common size.
         CancelledError: ``should_stop`` returned True.
     """
     pairs = tuple(pairs.pairs if isinstance(pairs, Pairing) else pairs)
     if not pairs:
-        raise DataError("there is no pair of pictures; left and right pictures are paired by the number in their names.")
+        raise DataError(
+            "there is no pair of pictures; left and right pictures are paired by the number in their names."
+        )
     paths = [path for pair in pairs for path in (pair.left_path, pair.right_path)]
     seen = _detect_all(paths, board, preprocess, None, progress, should_stop, n_threads)
     seen = _agree_on_layout(seen, board, preprocess, should_stop, n_threads)
@@ -150,7 +154,10 @@ def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _See
 def _agree_on_layout(
     seen: list[_Seen], board: Board, preprocess: bool, should_stop: Callable[[], bool] | None, n_threads: int | None
 ) -> list[_Seen]:
-    """Marker boards: the layout that most pictures prove holds for all; pictures that were read otherwise are read again."""
+    """Marker boards: the layout that most pictures prove holds for all.
+
+    Pictures that were read otherwise are read again.
+    """
     votes = Counter(picture.layout for picture in seen if picture.layout)
     if not votes:
         return seen
@@ -164,7 +171,7 @@ def _agree_on_layout(
 
 
 def _require_board(seen: Sequence[_Seen], pairs: Sequence[PicturePair], board: Board) -> None:
-    """Raise where the board was found nowhere, or where more pictures show a grid of one other size than show the board's."""
+    """Raise where the board was found nowhere, or where more pictures show a grid of one other size."""
     looked = [(picture.path, picture.found) for picture in seen if picture.found is not None]
     n_found = sum(found.is_found for _, found in looked)
     hint, n_other = hint_from_sizes(looked, board)
@@ -179,22 +186,25 @@ def _require_board(seen: Sequence[_Seen], pairs: Sequence[PicturePair], board: B
         common, count = Counter(reasons.values()).most_common(1)[0]
         share = f" ({count} of them)" if count < len(reasons) else ""
         text = f"{spec} was found in none of {len(seen)} pictures ({len(pairs)} pairs): {common}{share}"
-        if not n_other:
+        if n_other < MIN_SHARE_OF_HINT * len(looked):
             hint = hint_by_trying([path for path, _ in looked], board)
-    raise DetectionError(f"{text}; {hint or 'check the board SPEC, the light and the focus.'}", reasons)
+    remedy = hint or ("" if ";" in text else "check the board SPEC, the light and the focus.")
+    raise DetectionError(f"{text}; {remedy}" if remedy else f"{text}.", reasons)
 
 
 def _common_size(side: str, pictures: Sequence[_Seen]) -> tuple[int, int]:
     """The size of a camera's pictures."""
     sizes = Counter(picture.size_wh for picture in pictures if picture.size_wh is not None)
     if not sizes:
-        raise DataError(f"none of the {len(pictures)} {side} pictures can be read; {pictures[0].path.name} {pictures[0].problem}")
+        raise DataError(
+            f"none of the {len(pictures)} {side} pictures can be read; {pictures[0].path.name} {pictures[0].problem}"
+        )
     ranked = sizes.most_common()
     size, count = ranked[0]
     if size is None or count < MIN_SHARE_OF_ONE_SIZE * sum(sizes.values()):
         text = " and ".join(f"{number} of {width}x{height}" for (width, height), number in ranked[:2])
         raise DataError(
-            f"{side} pictures differ in size ({text} pixels); one camera's pictures have one size: give those of one mode only."
+            f"{side} pictures differ in size ({text} pixels); a camera has one size: give pictures of one mode only."
         )
     return size
 
@@ -212,9 +222,8 @@ def _sort_views(
                 unusable.append(f"{picture.path.name} {picture.problem}")
             elif picture.size_wh != sizes[side]:
                 width, height = picture.size_wh or (0, 0)
-                unusable.append(
-                    f"{picture.path.name} is {width}x{height}, the other {side} pictures are {sizes[side][0]}x{sizes[side][1]}"
-                )
+                expected = "{}x{}".format(*sizes[side])
+                unusable.append(f"{picture.path.name} is {width}x{height}, the other {side} pictures are {expected}")
             elif picture.found.reason:
                 unseen.append((side, f"{picture.path.name}: {picture.found.reason}"))
         if unusable:

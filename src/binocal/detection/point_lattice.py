@@ -1,4 +1,4 @@
-"""Lattices of plain points (circle centres): steps are learnt from neighbours and followed as perspective bends them."""
+"""Lattices of plain points (circle centres): steps are learnt from neighbours, then followed as they bend."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def grow_point_lattices(
     np.fill_diagonal(distance, np.inf)
     near = np.argsort(distance, axis=1)[:, : min(8, n - 1)]
     # Seeds first where the surroundings are regular: opposite neighbours at equal distances.
-    order = np.argsort([_irregularity(points, index, neighbours) for index, neighbours in enumerate(near)], kind="stable")
+    order = np.argsort(
+        [_irregularity(points, index, neighbours) for index, neighbours in enumerate(near)], kind="stable"
+    )
     free = np.ones(n, bool)
     lattices = []
     for seed in order[:_MOST_SEEDS]:

@@ -12,10 +12,11 @@ EDGE_GAIN = 0.8
 
 
 def strengthen_edges(image: ndarray) -> ndarray:
-    """A picture of the same shape and depth, lightly smoothed (Gaussian, 0.7 px), then unsharp-masked (1.6 px, gain 0.8).
+    """The picture lightly smoothed (Gaussian, 0.7 px), then unsharp-masked (1.6 px, gain 0.8); same shape and depth.
 
-    The paper prepares its pictures so but names no filter; this one is linear and symmetric, so that it moves no straight edge and
-    no symmetric corner. It helps to find faint boards and adds no information: corners are not expected to become more precise.
+    The paper prepares its pictures so but names no filter; this one is linear and symmetric, so that it moves no
+    straight edge and no symmetric corner. It helps to find faint boards and adds no information: corners are not
+    expected to become more precise.
 
     Raises:
         ValueError: The array is not uint8 or uint16.

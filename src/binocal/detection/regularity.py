@@ -14,28 +14,34 @@ if TYPE_CHECKING:
 def grid_residuals(board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
     """Distance of each point from a smooth image of the plane, pixels: a homography plus a low polynomial for the lens.
 
-    The polynomial's degree follows the number of points, 1 to 3, so that a wild point cannot bend it to itself; both fits are
-    redescending (Tukey's biweight). All infinite where the plane would be folded or seen from behind.
+    The polynomial's degree follows the number of points, up to 3, so that a wild point cannot bend it to itself; both
+    fits are redescending (Tukey's biweight). All infinite where the plane would be folded or seen from behind.
     """
     n = len(points_px)
     centre, scale = board_xy.mean(axis=0), np.abs(board_xy - board_xy.mean(axis=0)).max() or 1.0
     xy = (board_xy - centre) / scale
     weight = np.ones(n)
     residual = np.full(n, np.inf)
-    degree = 3 if n >= 40 else 2 if n >= 16 else 1 if n >= 8 else 0
-    basis = np.stack([xy[:, 0] ** a * xy[:, 1] ** (b - a) for b in range(degree + 1) for a in range(b + 1)], axis=-1)
+    degree = 3 if n >= 40 else 2 if n >= 20 else 1 if n >= 12 else 0
+    # Constant and linear terms too: the homography minimises an algebraic error and leaves some of them.
+    powers = [(a, b - a) for b in range(degree + 1) for a in range(b + 1)]
+    basis = np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in powers], axis=-1) if degree else None
     for _ in range(6):
         H = fit_homography(xy, points_px, weight)
         homogeneous = np.column_stack([xy, np.ones(n)]) @ H.T
         w = homogeneous[:, 2]
-        # One sign of w: no fold. det H over w cubed is the mapping's Jacobian: positive for a board seen from its front.
+        # One sign of w: no fold. det H over w cubed is the mapping's Jacobian: positive for a board seen from its
+        # front.
         if not np.isfinite(H).all() or not (w * w[0] > 0).all() or np.linalg.det(H) * w[0] <= 0:
             return np.full(n, np.inf)
         off = points_px - homogeneous[:, :2] / w[:, None]
         root = np.sqrt(weight)[:, None]
-        off = off - basis @ np.linalg.lstsq(root * basis, root * off, rcond=None)[0]
+        if basis is not None:
+            off = off - basis @ np.linalg.lstsq(root * basis, root * off, rcond=None)[0]
         residual = np.linalg.norm(off, axis=1)
-        cut = 4.7 * max(1.4826 * float(np.median(residual)) / 1.1774, 1e-6) + 0.3  # 0.3 px: what sub-pixel noise may do anyway
+        cut = (
+            4.7 * max(1.4826 * float(np.median(residual)) / 1.1774, 1e-6) + 0.3
+        )  # 0.3 px: what sub-pixel noise may do anyway
         weight = np.clip(1 - (residual / cut) ** 2, 0, 1) ** 2 + 1e-9
     return residual
 
@@ -43,7 +49,10 @@ def grid_residuals(board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n
 def fit_homography(
     xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], weight: Float[ndarray, "n"] | None = None
 ) -> Float[ndarray, "3 3"]:
-    """Plane to picture by the normalised direct linear transform (Hartley & Zisserman 2004, algorithm 4.2); NaN if degenerate."""
+    """Plane to picture by the normalised direct linear transform (Hartley & Zisserman 2004, algorithm 4.2).
+
+    NaN if degenerate.
+    """
     mean, spread = points_px.mean(axis=0), points_px.std() or 1.0
     uv = (points_px - mean) / spread
     one, zero = np.ones(len(xy)), np.zeros((len(xy), 3))
@@ -64,8 +73,10 @@ def fit_homography(
 def find_irregular(
     board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"]
 ) -> Bool[ndarray, "n"]:
-    """Points more than a tenth of the local spacing (and 1 px) from a smooth image of the plane; spacing is per point, pixels.
+    """Points more than a tenth of the local spacing (and 1 px) from a smooth image of the plane.
 
-    Measured on the real sets: the worst true corner of a 110-degree lens is 0.04 spacings off; a corner taken for its neighbour 1.
+    Spacing is per point, pixels.
+    Measured on the real sets: the worst true corner of a 110-degree lens is 0.04 spacings off; a corner taken for its
+    neighbour 1.
     """
     return ~(grid_residuals(board_xy, points_px) < np.maximum(0.1 * spacing_px, 1.0))

@@ -1,7 +1,8 @@
 """X-corners: points where four sectors meet, dark and bright in turn, and the directions of the edges between them.
 
-Candidates are peaks of the saddle response (minus the Hessian's determinant, Bowers et al. and many since); each is then read on
-a ring around it, where an X-corner shows exactly four transitions, opposite ones alike (the idea of Bennett & Lasenby 2014, ChESS).
+Candidates are peaks of the saddle response (minus the Hessian's determinant, Bowers et al. and many since); each is
+then read on a ring around it, where an X-corner shows exactly four transitions, opposite ones alike (the idea of
+Bennett & Lasenby 2014, ChESS).
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ _RING = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1).astype(np.float32)
 class XCorners:
     """Candidate X-corners of one picture.
 
-    ``rays_rad`` are the four edge directions in rising angle (x towards y, so clockwise on the screen); the first has its bright
-    sector after it (at larger angles), the second before it, and so on in turn. ``contrast_dn`` is bright minus dark.
+    ``rays_rad`` are the four edge directions in rising angle (x towards y, so clockwise on the screen); the first has
+    its bright sector after it (at larger angles), the second before it, and so on in turn. ``contrast_dn`` is bright
+    minus dark.
     """
 
     points_px: Float32[ndarray, "n 2"]
@@ -50,7 +52,10 @@ def saddle_response(smooth: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
 
 
 def find_x_corners(smooth: Float32[ndarray, "h w"], radius_px: float, *, most: int = 1200) -> XCorners:
-    """X-corners of a smoothed grey picture (0..255), read on a ring of ``radius_px``; the ``most`` strongest saddles are tried."""
+    """X-corners of a smoothed grey picture (0..255), read on a ring of ``radius_px``.
+
+    The ``most`` strongest saddles are tried.
+    """
     response = saddle_response(smooth)
     size = 2 * max(1, round(0.6 * radius_px)) + 1
     peaks = response == cv2.dilate(response, np.ones((size, size), np.uint8))
@@ -69,6 +74,7 @@ def find_x_corners(smooth: Float32[ndarray, "h w"], radius_px: float, *, most: i
 
 def _interpolate_peaks(response: ndarray, rows: ndarray, columns: ndarray) -> Float32[ndarray, "n 2"]:
     """Peaks to a fraction of a pixel, by parabolas through the neighbours in x and in y."""
+
     def offset(before: ndarray, at: ndarray, after: ndarray) -> ndarray:
         bend = before - 2 * at + after
         return np.clip(np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1), 0), -0.5, 0.5)
@@ -84,13 +90,20 @@ def sample(image: Float32[ndarray, "h w"], points_px: Float[ndarray, "*n 2"]) ->
     flat = np.ascontiguousarray(points_px, dtype=np.float32).reshape(-1, 1, 2)
     if not len(flat):
         return np.zeros(points_px.shape[:-1], np.float32)
-    values = [cv2.remap(image, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-              for part in np.array_split(flat, len(flat) // 30_000 + 1)]  # remap is limited to 32767 rows
+    values = [
+        cv2.remap(image, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in np.array_split(flat, len(flat) // 30_000 + 1)
+    ]  # remap is limited to 32767 rows
     return np.concatenate(values).reshape(points_px.shape[:-1])
 
 
-def read_rings(smooth: Float32[ndarray, "h w"], points_px: Float[ndarray, "n 2"], radius_px: float,
-               *, min_contrast_dn: float = MIN_CONTRAST_DN) -> tuple[Bool[ndarray, "n"], Float[ndarray, "n 4"], Float[ndarray, "n"]]:
+def read_rings(
+    smooth: Float32[ndarray, "h w"],
+    points_px: Float[ndarray, "n 2"],
+    radius_px: float,
+    *,
+    min_contrast_dn: float = MIN_CONTRAST_DN,
+) -> tuple[Bool[ndarray, "n"], Float[ndarray, "n 4"], Float[ndarray, "n"]]:
     """Which points are X-corners, their edge directions, and their contrast; see :class:`XCorners`."""
     n = len(points_px)
     rays = np.zeros((n, 4))
@@ -103,7 +116,8 @@ def read_rings(smooth: Float32[ndarray, "h w"], points_px: Float[ndarray, "n 2"]
     following = np.roll(level, -1, axis=1)
     is_crossing = (level > 0) != (following > 0)
     opposite = np.roll(level, N_RING // 2, axis=1)
-    # Opposite samples agree; 0.35 of the contrast admits shading across the ring and a centre that is off by a fifth of the radius.
+    # Opposite samples agree; 0.35 of the contrast admits shading across the ring and a centre that is off by a fifth of
+    # the radius.
     is_symmetric = np.mean(np.abs(level - opposite), axis=1) < 0.35 * contrast
     is_corner = (is_crossing.sum(axis=1) == 4) & is_symmetric & (contrast > min_contrast_dn)
     index = np.nonzero(is_corner)[0]
