@@ -11,8 +11,7 @@ from numpy import ndarray
 
 from binocal.cameras import StereoRig
 from binocal.detections import Detections
-from binocal.geometry import SE3
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -74,14 +74,28 @@ def test_a_batch_of_rigs_equals_its_members():
     stacked = np.stack([parameters, parameters * 1.01])
     shape = (2, 3)
     batch = accumulate(
-        model, stacked, R.reshape(*shape, 3, 3), t.reshape(*shape, 3), points,
-        pixels.reshape(*shape, *pixels.shape[1:]), is_seen.reshape(*shape, -1), np.array([1.0, 2.0]), "hampel",
+        model,
+        stacked,
+        R.reshape(*shape, 3, 3),
+        t.reshape(*shape, 3),
+        points,
+        pixels.reshape(*shape, *pixels.shape[1:]),
+        is_seen.reshape(*shape, -1),
+        np.array([1.0, 2.0]),
+        "hampel",
     )
     for rig in range(2):
         views = slice(3 * rig, 3 * rig + 3)
         single = accumulate(
-            model, stacked[rig], R[views], t[views], points, pixels[views], is_seen[views],
-            np.asarray([1.0, 2.0][rig]), "hampel",
+            model,
+            stacked[rig],
+            R[views],
+            t[views],
+            points,
+            pixels[views],
+            is_seen[views],
+            np.asarray([1.0, 2.0][rig]),
+            "hampel",
         )
         assert np.allclose(batch.gram[rig], single.gram, rtol=1e-12)
         assert np.array_equal(batch.cost_px2[rig], single.cost_px2)

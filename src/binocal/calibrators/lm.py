@@ -18,7 +18,9 @@ from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
-MIN_VIEW_INLIER_SHARE = 0.5  # a view most of whose corners in one camera contradict the rest is not an observation of this board
+MIN_VIEW_INLIER_SHARE = (
+    0.5  # a view most of whose corners in one camera contradict the rest is not an observation of this board
+)
 
 
 def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
@@ -103,9 +105,7 @@ def _is_better(problem: BundleProblem, a: Minimum, b: Minimum) -> bool:
     if bool(a.is_converged) != bool(b.is_converged):
         return bool(a.is_converged)
     scale = np.minimum(a.scale_px, b.scale_px)
-    costs = [
-        sum(float(robust.costs(e.r2_px2, scale, "hampel").sum()) for e in m.equations.cameras) for m in (a, b)
-    ]
+    costs = [sum(float(robust.costs(e.r2_px2, scale, "hampel").sum()) for e in m.equations.cameras) for m in (a, b)]
     return costs[0] < costs[1]
 
 

@@ -75,7 +75,9 @@ def calibrate_with_best_model(
     good = _views_to_hold_out(evidence.values()) if evidence else ()
     if len(good) < MIN_VIEWS_FOR_CHOICE:
         name = min(fits, key=lambda name: information_criterion(fits[name]))
-        reason = f"{len(good)} usable views are too few to hold some out; {name} taken by the Bayesian information criterion"
+        reason = (
+            f"{len(good)} usable views are too few to hold some out; {name} taken by the Bayesian information criterion"
+        )
         return _with_choice(fits[name], name, reason, [], warn=True)
 
     noise_px = min(c.noise_px for c in fits.values())
@@ -86,7 +88,9 @@ def calibrate_with_best_model(
         if name in evidence:
             trials.append(_hold_out(good, replace(options, model=name), fits[name], evidence[name], noise_px))
         else:
-            trials.append(ModelTrial(name, None, str(failures.get(name, "no corners to hold out")), np.full(len(good), np.nan)))
+            trials.append(
+                ModelTrial(name, None, str(failures.get(name, "no corners to hold out")), np.full(len(good), np.nan))
+            )
     if progress:
         progress("camera models", 2 * len(names), 2 * len(names))
     chosen, reason = choose_model(trials)
@@ -124,7 +128,7 @@ def choose_model(trials: list[ModelTrial]) -> tuple[ModelTrial, str]:
 
 
 def information_criterion(calibration: StereoCalibration) -> float:
-    """n ln(mean squared residual) + k ln n over the corner coordinates that were used. Source: Schwarz 1978."""
+    """N ln(mean squared residual) + k ln n over the corner coordinates that were used. Source: Schwarz 1978."""
     n = 2 * sum(v.n_corners - v.n_outliers for v in calibration.views)
     return n * np.log(max(calibration.rms.all_px**2, 1e-20)) + len(calibration.covariance.names) * np.log(n)
 
@@ -171,9 +175,7 @@ def _hold_out(
     return ModelTrial(options.model, full, "", held_out)
 
 
-def held_out_px2(
-    rig: StereoRig, detections: Detections, T_left_board: SE3, noise_px: float
-) -> Float[ndarray, "views"]:
+def held_out_px2(rig: StereoRig, detections: Detections, T_left_board: SE3, noise_px: float) -> Float[ndarray, "views"]:
     """Mean squared residual length of each view with the rig held and the board pose fitted; each length capped at 5 sigma."""
     poses = estimate_board_poses(rig, detections, T_left_board)
     r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)

@@ -29,7 +29,9 @@ class Camera:
         parameters = np.array(self.parameters, dtype=float)
         expected = self._functions.n_parameters
         if parameters.shape != (expected,):
-            raise ValueError(f"{self.model} has {expected} parameters (fx fy cx cy skew + distortion); got {parameters.shape}")
+            raise ValueError(
+                f"{self.model} has {expected} parameters (fx fy cx cy skew + distortion); got {parameters.shape}"
+            )
         if not np.all(np.isfinite(parameters)) or parameters[0] <= 0 or parameters[1] <= 0:
             raise ValueError(f"camera parameters must be finite with fx, fy > 0; got {parameters.tolist()}")
         width, height = (int(n) for n in self.size_wh)

@@ -48,9 +48,7 @@ def log(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
     for i in range(3):
         candidates[..., i + 1, 0] = off[..., i]
         for j in range(3):
-            candidates[..., i + 1, j + 1] = (
-                1 + 2 * R[..., i, i] - trace if i == j else R[..., i, j] + R[..., j, i]
-            )
+            candidates[..., i + 1, j + 1] = 1 + 2 * R[..., i, i] - trace if i == j else R[..., i, j] + R[..., j, i]
     best = np.argmax(np.sum(candidates**2, axis=-1), axis=-1)
     q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)

@@ -22,7 +22,9 @@ from binocal.solvers import robust
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-CHUNK_CORNERS = 2500  # corners linearised at once: their Jacobian (0.7 MB) and every temporary stay in cache and out of page faults
+CHUNK_CORNERS = (
+    2500  # corners linearised at once: their Jacobian (0.7 MB) and every temporary stay in cache and out of page faults
+)
 
 
 _scratch = threading.local()
@@ -88,7 +90,14 @@ def accumulate(
         these = slice(start, min(start + chunk, total))
         J = columns[: these.stop - start]
         length2, Z = _fill_columns(
-            model, per_view_parameters[these], R[these], t[these], object_points, flat_pixels[these], flat_seen[these], J
+            model,
+            per_view_parameters[these],
+            R[these],
+            t[these],
+            object_points,
+            flat_pixels[these],
+            flat_seen[these],
+            J,
         )
         r2[these] = length2
         with np.errstate(all="ignore"):
@@ -141,7 +150,13 @@ def unweighted_columns(
 
 
 def _fill_columns(
-    model: CameraModel, parameters: ndarray, R: ndarray, t: ndarray, object_points: ndarray, pixels: ndarray, is_seen: ndarray,
+    model: CameraModel,
+    parameters: ndarray,
+    R: ndarray,
+    t: ndarray,
+    object_points: ndarray,
+    pixels: ndarray,
+    is_seen: ndarray,
     J: ndarray,
 ) -> tuple[Float[ndarray, "views n"], Float[ndarray, "views n"]]:
     """Fill ``J`` (views, p + 7, 2, n), zero where not seen; return squared residual lengths and depths."""

@@ -38,7 +38,11 @@ class CameraObservations:
 
     @staticmethod
     def from_corners(
-        model: CameraModel, corners_px: Float[ndarray, "*batch views n 2"], *, skew: bool = False, intrinsics: bool = True
+        model: CameraModel,
+        corners_px: Float[ndarray, "*batch views n 2"],
+        *,
+        skew: bool = False,
+        intrinsics: bool = True,
     ) -> CameraObservations:
         """Observations of (views, n, 2) corners with NaN for unseen; ``intrinsics=False`` holds all parameters."""
         corners = np.asarray(corners_px, dtype=float)
@@ -111,7 +115,9 @@ def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> F
     return out
 
 
-def right_poses(estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
+def right_poses(
+    estimate: BundleEstimate,
+) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
     """``T_right_board`` of every view."""
     R, t = estimate.R_right_left[..., None, :, :], estimate.t_right_left[..., None, :]
     return R @ estimate.R_left_board, (R @ estimate.t_left_board[..., None])[..., 0] + t
@@ -286,10 +292,9 @@ def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleE
     )
 
 
-def select_equations(
-    take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations
-) -> BundleEquations:
+def select_equations(take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations) -> BundleEquations:
     """Rig by rig, the new equations where ``take``, else the old ones."""
+
     def pick(a: ndarray, b: ndarray) -> ndarray:
         return np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
 

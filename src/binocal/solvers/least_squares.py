@@ -47,7 +47,9 @@ class LoopOptions:
     initial_damping: float = 1e-6
     damping_fall: float = 30.0
     damping_rise: float = 10.0
-    least_raised_damping: float = 1e-6  # weak directions have eigenvalues of 1e-7 of the diagonal: less would not be felt
+    least_raised_damping: float = (
+        1e-6  # weak directions have eigenvalues of 1e-7 of the diagonal: less would not be felt
+    )
     max_damping: float = 1e8
 
 
@@ -141,7 +143,9 @@ def minimize(
         mad = np.maximum(options.scale_factor * noise_estimate_px(problem, equations), 1e-300)
         last_step_px = np.where(take, step_px, last_step_px)
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
-        damping = np.where(take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping))
+        damping = np.where(
+            take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping)
+        )
         # exact corners: go on while the cost still falls by half, down to its rounding floor
         is_floor = ~is_exact | ~(trial.cost_px2 < 0.5 * cost)
         # a rejected step that was already too short to matter is convergence too

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy import ndarray
 
 from binocal.solvers import robust
 from binocal.solvers.accumulate import unweighted_columns
@@ -27,7 +26,7 @@ from binocal.solvers.bundle import (
 from binocal.solvers.least_squares import Minimum
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    pass
 
 MAX_STEPS = 6
 MAX_CORNERS = 200_000  # the whole Jacobian is held at once: 100 MB

@@ -23,7 +23,9 @@ HAMPEL_FLAT, HAMPEL_DROP, HAMPEL_END = 3.5, 4.5, 7.0
 """Hampel's three corners in sigmas. A corner of Gaussian noise lies beyond 3.5 sigma once in 460, so 99.9 % of the efficiency stays."""
 
 
-def weights(r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel) -> Float[ndarray, "*batch"]:
+def weights(
+    r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel
+) -> Float[ndarray, "*batch"]:
     """IRLS weight psi(r) / r of each residual; 1 at 0.
 
     Source: Hampel 1974, "The influence curve and its role in robust estimation" (three-part redescending); Cauchy with c = scale.
@@ -41,7 +43,9 @@ def weights(r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], k
     return w
 
 
-def costs(r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel) -> Float[ndarray, "*batch"]:
+def costs(
+    r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel
+) -> Float[ndarray, "*batch"]:
     """Robust cost rho(r) of each residual, in px², half of r² near 0."""
     if kernel == "squared":
         return 0.5 * r2
