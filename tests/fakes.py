@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.result import Covariance, Evidence, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 from rigs import make_detections, make_poses, make_rig
 
 
@@ -102,8 +102,7 @@ class Rooms:
             rms=ResidualSummary(0.11, 0.12, 0.115),
             noise_px=0.08,
             views=views,
-            detections=detections,
-            T_left_board=self.poses,
+            evidence=Evidence(detections, self.poses),
             warnings=("left and right look exchanged; swap --left and --right.",),
             provenance={"iterations": 5},
         )

@@ -9,7 +9,15 @@ from binocal import boards
 from binocal.cameras import Camera, StereoRig
 from binocal.detections import Detections
 from binocal.geometry import SE3, so3
-from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.result import (
+    Covariance,
+    Evidence,
+    OutlierCorner,
+    RejectedView,
+    ResidualSummary,
+    StereoCalibration,
+    ViewResult,
+)
 
 DISTORTION = {
     "brown4": [-0.12, 0.05, 4e-4, -3e-4],
@@ -66,8 +74,7 @@ def make_calibration(rig: StereoRig | None = None) -> StereoCalibration:
         rms=ResidualSummary(0.1, 0.2, 0.15),
         noise_px=0.08,
         views=(ViewResult("01", 0.1, 0.1, float("nan"), 88, (OutlierCorner("left", 4, 7.5),), "turned by 180 deg"),),
-        detections=detections,
-        T_left_board=poses,
+        evidence=Evidence(detections, poses),
         rejected=(RejectedView("02", "no board found in the left picture"),),
         warnings=("left and right look exchanged",),
         n_iterations=7,

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 class Detections:
     """Corners of ``n_views`` views of one board of n points in two cameras.
 
-    NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points are metres.
+    NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points
+    are metres.
     """
 
     object_points_m: Float[ndarray, "n 3"]

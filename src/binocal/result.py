@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 class Covariance:
     """Covariance of the rig's estimated parameters, by name.
 
-    Names: ``left.fx`` … ``left.k1`` …, ``right.…``, ``rotation.x/y/z`` (a small rotation vector in radians that multiplies
-    ``R`` from the left, so it lives in the right camera's frame), ``translation.x/y/z`` (metres, or board pitches without a scale).
+    Names: ``left.fx`` … ``left.k1`` …, ``right.…``, ``rotation.x/y/z`` (a small rotation vector in radians that
+    multiplies ``R`` from the left, so it lives in the right camera's frame), ``translation.x/y/z`` (metres, or board
+    pitches without a scale).
     """
 
     names: tuple[str, ...]
@@ -51,7 +52,10 @@ class Covariance:
 
 @dataclass(frozen=True, slots=True)
 class ResidualSummary:
-    """RMS distance, pixels, between measured and predicted corners (OpenCV's convention: per corner, not per coordinate)."""
+    """RMS distance, pixels, between measured and predicted corners (OpenCV's convention.
+
+    Per corner, not per coordinate).
+    """
 
     left_px: float
     right_px: float
@@ -60,7 +64,10 @@ class ResidualSummary:
 
 @dataclass(frozen=True, slots=True)
 class OutlierCorner:
-    """A corner that the solver gave no weight: which camera (``left`` or ``right``), its index on the board, its distance from the fit."""
+    """A corner that the solver gave no weight.
+
+    Which camera (``left`` or ``right``), its index on the board, its distance from the fit.
+    """
 
     camera: str
     corner: int
@@ -69,7 +76,9 @@ class OutlierCorner:
 
 @dataclass(frozen=True, slots=True)
 class ViewResult:
-    """A view that was used. ``outliers`` among its ``n_corners`` corners (both cameras) were rejected; RMS is over the others.
+    """A view that was used. ``outliers`` among its ``n_corners`` corners (both cameras) were rejected.
+
+    RMS is over the others.
 
     ``note`` says what was repaired, if anything. An RMS is NaN where the camera did not see the board.
     """
@@ -98,7 +107,10 @@ class RejectedView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What a rig was computed from: the used views with repaired corner orders, and the board's pose in each of them."""
+    """What a rig was computed from.
+
+    The used views with repaired corner orders, and the board's pose in each of them.
+    """
 
     detections: Detections
     T_left_board: SE3
@@ -108,7 +120,8 @@ class Evidence:
 class StereoCalibration:
     """The result of every calibrator.
 
-    ``warnings`` are sentences for the user, the gravest first. ``provenance`` holds versions, calibrator, options, model choice.
+    ``warnings`` are sentences for the user, the gravest first. ``provenance`` holds versions, calibrator, options,
+    model choice.
     """
 
     rig: StereoRig

@@ -37,7 +37,8 @@ def plain_residuals(model, parameters, R, t, points, pixels):
 @pytest.mark.parametrize("kernel", ["squared", "cauchy", "hampel"])
 @pytest.mark.parametrize("name", list(CAMERA_MODELS))
 def test_gram_equals_the_plain_formula(name, kernel):
-    # central differences, step 1e-6 of the value (1e-4 for distortion): measured agreement 1e-7 of the entries' size, bound 2e-6
+    # central differences, step 1e-6 of the value (1e-4 for distortion): measured agreement 1e-7 of the entries' size,
+    # bound 2e-6
     model, parameters, R, t, points, pixels, is_seen = make_views(name)
     scale = 60.0
     result = accumulate(model, parameters, R, t, points, pixels, is_seen, np.asarray(scale), kernel)

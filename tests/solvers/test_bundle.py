@@ -1,4 +1,7 @@
-"""The joint solve: exact input gives the truth, noise lands on the Cramér-Rao bound, outliers do not matter, bad starts do not hang."""
+"""The joint solve: exact input gives the truth, noise lands on the Cramér-Rao bound, outliers do not matter.
+
+Bad starts do not hang.
+"""
 
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 """Corners to rig: binocal's ``lm`` against OpenCV's mono calibrations followed by the joint stereo solve.
 
-The peer is given what it does best: exact board, all corners, five distortion coefficients, no outliers, intrinsics refined jointly
-(``CALIB_USE_INTRINSIC_GUESS``). binocal does more in its time: robust loss, view checks, covariance.
+The peer is given what it does best: exact board, all corners, five distortion coefficients, no outliers, intrinsics
+refined jointly (``CALIB_USE_INTRINSIC_GUESS``). binocal does more in its time: robust loss, view checks, covariance.
 """
 
 from __future__ import annotations
@@ -54,7 +54,10 @@ def _run_binocal(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]
 def run_solver_benchmark(
     *, pairs: tuple[int, ...] = (20, 50, 100, 200), rounds: int = 5, seed: int = 0
 ) -> dict[str, Any]:
-    """Time both in turn, ``rounds`` times per number of pairs after one warm-up round; medians, spread, errors against the truth."""
+    """Time both in turn, ``rounds`` times per number of pairs after one warm-up round.
+
+    Medians, spread, errors against the truth.
+    """
     import cv2
 
     rows = []

@@ -1,4 +1,7 @@
-"""``lm``: closed-form start, view diagnosis, joint robust Levenberg-Marquardt. The classical road, without the agent."""
+"""``lm``: closed-form start, view diagnosis, joint robust Levenberg-Marquardt.
+
+The classical road, without the agent.
+"""
 
 from __future__ import annotations
 
@@ -83,9 +86,9 @@ def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
 def _solve(problem: BundleProblem, start: BundleEstimate) -> tuple[Minimum, int]:
     """The robust optimum, and the iterations it took.
 
-    The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails, Cauchy's kernel,
-    which never lets go of a corner, starts it a second time, and the lower robust cost wins: falling cost alone does not prove the
-    right minimum.
+    The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails,
+    Cauchy's kernel, which never lets go of a corner, starts it a second time, and the lower robust cost wins: falling
+    cost alone does not prove the right minimum.
     """
     best = minimize(problem, start, LoopOptions())
     n_iterations = int(best.n_iterations)

@@ -31,7 +31,10 @@ RESIDUAL_CAP_SIGMA = 5.0  # a wild corner must not choose the model
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelTrial:
-    """One model's fit: its calibration, or why there is none, and the held-out mean squared residual of each view (NaN: not tested)."""
+    """One model's fit: its calibration, or why there is none, and the held-out mean squared residual of each view (NaN.
+
+    Not tested).
+    """
 
     model: str
     calibration: StereoCalibration | None
@@ -52,9 +55,9 @@ def calibrate_with_best_model(
 ) -> StereoCalibration:
     """Calibrate with every camera model and keep the one that predicts held-out views best.
 
-    The simplest model is kept whose held-out error is within one standard error (paired over the views) of the best one's.
-    The reason is written to the provenance under ``model_choice``. With fewer than six usable views nothing can be held out; the
-    Bayesian information criterion decides then, which is said in a warning.
+    The simplest model is kept whose held-out error is within one standard error (paired over the views) of the best
+    one's. The reason is written to the provenance under ``model_choice``. With fewer than six usable views nothing can
+    be held out; the Bayesian information criterion decides then, which is said in a warning.
 
     Raises:
         CalibrationError: No model gives a trustworthy rig; the error of the simplest is raised.
@@ -148,7 +151,8 @@ def _hold_out(
 ) -> ModelTrial:
     """Cross-validate one model: each fold is solved anew from the full fit, without the views it is then tested on.
 
-    The joint problem has one optimum in the basin that all calibrators end in, so the start saves time and does not leak.
+    The joint problem has one optimum in the basin that all calibrators end in, so the start saves time and does not
+    leak.
     """
     detections, T_left_board = evidence.detections, evidence.T_left_board
     index = np.array([detections.names.index(name) for name in good])
@@ -176,7 +180,10 @@ def _hold_out(
 
 
 def held_out_px2(rig: StereoRig, detections: Detections, T_left_board: SE3, noise_px: float) -> Float[ndarray, "views"]:
-    """Mean squared residual length of each view with the rig held and the board pose fitted; each length capped at 5 sigma."""
+    """Mean squared residual length of each view with the rig held and the board pose fitted.
+
+    Each length capped at 5 sigma.
+    """
     poses = estimate_board_poses(rig, detections, T_left_board)
     r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
     cap = max((RESIDUAL_CAP_SIGMA * noise_px) ** 2, 1e-12)

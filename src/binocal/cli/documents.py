@@ -11,10 +11,9 @@ from binocal.formats import native
 
 
 def calibration_run_document(run: CalibrationRun, output: Path, max_rms_px: float | None) -> dict[str, Any]:
-    """The ``rig.json`` document without the corners, and what became of the files."""
+    """The ``rig.json`` document, and what became of the files."""
     rms_px = run.calibration.rms.all_px
     document = native.calibration_document(run.calibration)
-    del document["corners"]
     return document | {
         "output": str(output),
         "ignored": [{"path": path, "reason": reason} for path, reason in run.ignored],

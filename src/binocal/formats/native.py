@@ -17,8 +17,7 @@ import numpy as np
 
 from binocal.boards import Board, format_board, parse_board
 from binocal.cameras import CAMERA_MODELS, Camera, StereoRig
-from binocal.detections import Detections
-from binocal.errors import DataError, FormatError
+from binocal.errors import FormatError
 from binocal.formats.files import write_aside
 from binocal.geometry import SE3
 from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
@@ -64,9 +63,10 @@ def rig_document(rig: StereoRig) -> dict[str, Any]:
 def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
     """``rig.json`` as a dictionary that holds only what JSON can say.
 
-    ``views`` hold the board's pose in the left camera (R, T); ``corners`` the measured corners that were used, pixels,
-    [view][point][x, y], null where not seen, and the board's points.
+    ``views`` hold the board's pose in the left camera (R, T) where the calibration still knows it; the corners stay out: they would
+    make the file fifty times larger.
     """
+    T_left_board = calibration.evidence.T_left_board if calibration.evidence else None
     return jsonable(
         rig_document(calibration.rig)
         | {
@@ -92,22 +92,14 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
                     "n_outliers": view.n_outliers,
                     "outliers": view.outliers,
                     "note": view.note,
-                    "R": R,
-                    "T": t,
                 }
-                for view, R, t in zip(
-                    calibration.views, calibration.T_left_board.R, calibration.T_left_board.t, strict=True
-                )
+                | ({} if T_left_board is None else {"R": T_left_board.R[index], "T": T_left_board.t[index]})
+                for index, view in enumerate(calibration.views)
             ],
             "rejected": [{"name": view.name, "reason": view.reason} for view in calibration.rejected],
             "warnings": calibration.warnings,
             "n_iterations": calibration.n_iterations,
             "provenance": calibration.provenance,
-            "corners": {
-                "board": calibration.detections.object_points_m,
-                "left": calibration.detections.left_px,
-                "right": calibration.detections.right_px,
-            },
         }
     )
 
@@ -153,15 +145,14 @@ def read_rig(path: str | Path) -> StereoRig:
 
 
 def read_calibration(path: str | Path) -> StereoCalibration:
-    """The calibration of a ``rig.json``; ``null`` becomes NaN. Raises as :func:`read_rig`."""
+    """The calibration of a ``rig.json``; ``null`` becomes NaN; without evidence, which the file does not hold. Raises as :func:`read_rig`."""
     top = _load(path)
     rms = top.mapping("rms_px")
     covariance = top.mapping("covariance")
     names = tuple(covariance.texts("names"))
     matrix = covariance.array("matrix", (len(names), len(names)), allow_null=True)
-    rig, views = _parse_rig(top), top.mappings("views")
     return StereoCalibration(
-        rig=rig,
+        rig=_parse_rig(top),
         covariance=Covariance(names, matrix),
         rms=ResidualSummary(*(rms.number(key, allow_null=True) for key in ("left", "right", "all"))),
         noise_px=top.number("noise_px", allow_null=True),
@@ -178,10 +169,8 @@ def read_calibration(path: str | Path) -> StereoCalibration:
                 ),
                 note=view.text("note"),
             )
-            for view in views
+            for view in top.mappings("views")
         ),
-        detections=_parse_corners(top.mapping("corners"), rig, tuple(view.text("name") for view in views)),
-        T_left_board=_parse_poses(views),
         rejected=tuple(RejectedView(view.text("name"), view.text("reason")) for view in top.mappings("rejected")),
         warnings=tuple(top.texts("warnings")),
         n_iterations=top.integer("n_iterations"),
@@ -374,16 +363,6 @@ def _parse_poses(views: list[_Node]) -> SE3:
         except ValueError:
             raise view.fail("R", "a rotation matrix") from None
     return SE3(R, t)
-
-
-def _parse_corners(node: _Node, rig: StereoRig, names: tuple[str, ...]) -> Detections:
-    points = node.array("board", (-1, 3))
-    shape = (len(names), len(points), 2)
-    left, right = (node.array(side, shape, allow_null=True) for side in ("left", "right"))
-    try:
-        return Detections(points, left, right, rig.left.size_wh, rig.right.size_wh, names, rig.is_metric)
-    except (DataError, ValueError) as error:
-        raise FormatError(node.path, f"key 'corners': {error}") from None
 
 
 def _parse_rig(top: _Node) -> StereoRig:

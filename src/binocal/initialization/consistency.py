@@ -1,8 +1,11 @@
-"""What is wrong with the views, by name: repaired where the repair is certain, rejected where not, refused where nothing is left.
+"""What is wrong with the views, by name.
 
-Order of the checks: each camera's corners (inside the picture, on a grid, spread), the resolution of left against right, each camera's
-geometry (degenerate sets), then the two cameras against each other (corner order, shifts, pairing), and last the rig as a whole.
-Thresholds compare with what the data itself shows (robust medians, covariances), never with one kind of rig.
+Repaired where the repair is certain, rejected where not, refused where nothing is left.
+
+Order of the checks: each camera's corners (inside the picture, on a grid, spread), the resolution of left against
+right, each camera's geometry (degenerate sets), then the two cameras against each other (corner order, shifts,
+pairing), and last the rig as a whole. Thresholds compare with what the data itself shows (robust medians, covariances),
+never with one kind of rig.
 """
 
 from __future__ import annotations
@@ -50,11 +53,11 @@ _SHARED_FOCAL = 0.03  # sigma of log f beyond which the other camera's focal len
 class Diagnosis:
     """The views as they can be used, and a start for the joint solver.
 
-    ``detections`` are the input with repaired corner orders (rejected views still in place); ``is_used`` marks the views to
-    calibrate from, ``rejected`` says why for the others, ``notes`` has a sentence for each repaired view ("" for the rest) and
-    ``warnings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and weights belong to the
-    corners as they were given, ``R_left_board`` and ``t_left_board`` (NaN where unused) to the repaired ones. ``left_weights`` and
-    ``right_weights`` in [0, 1] tell how far the start trusts each repaired corner.
+    ``detections`` are the input with repaired corner orders (rejected views still in place); ``is_used`` marks the
+    views to calibrate from, ``rejected`` says why for the others, ``notes`` has a sentence for each repaired view (""
+    for the rest) and ``warnings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and
+    weights belong to the corners as they were given, ``R_left_board`` and ``t_left_board`` (NaN where unused) to the
+    repaired ones. ``left_weights`` and ``right_weights`` in [0, 1] tell how far the start trusts each repaired corner.
     """
 
     detections: Detections
@@ -74,7 +77,9 @@ class Diagnosis:
 
 
 def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: bool = False) -> Diagnosis:
-    """Check the views, repair or reject the bad ones, and start both cameras, T_right_left and the board poses in closed form.
+    """Check the views, repair or reject the bad ones, and start both cameras.
+
+    T_right_left and the board poses in closed form.
 
     Raises:
         DataError: Corners lie outside the picture, or at another resolution than it.
@@ -287,7 +292,10 @@ def _check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> N
 
 
 def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
-    """A picture size too large for the corners: principal point far off the middle, and no corner beyond twice that; a warning or ""."""
+    """A picture size too large for the corners: principal point far off the middle, and no corner beyond twice that.
+
+    A warning or "".
+    """
     width, height = initial.size_wh
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     principal = initial.parameters[2:4]
@@ -318,7 +326,10 @@ def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
 
 
 def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits: list[HomographyFit]) -> None:
-    """One camera's corners at a fraction of its picture: they keep to the first quarter, where the boards look half as large."""
+    """One camera's corners at a fraction of its picture.
+
+    They keep to the first quarter, where the boards look half as large.
+    """
     both = fits[0].is_valid & fits[1].is_valid
     if both.sum() < MIN_VIEWS:
         return
@@ -349,7 +360,10 @@ def _share_focal(
     model: str,
     has_skew: bool,
 ) -> list[InitialCamera]:
-    """In weak sets, bring both focal lengths together: boards far away look larger by the ratio of the focal lengths."""
+    """In weak sets, bring both focal lengths together.
+
+    Boards far away look larger by the ratio of the focal lengths.
+    """
     sigma = [camera.vanishing.sigma_log_focal for camera in cameras]
     both = cameras[0].is_usable & cameras[1].is_usable
     if max(sigma) < _SHARED_FOCAL or both.sum() < MIN_VIEWS:
@@ -474,7 +488,10 @@ def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], poin
 
 
 def _culprit(view: int, symmetry: int, consensus: Consensus, cameras: list[InitialCamera]) -> int:
-    """0 or 1: the camera whose board stands otherwise than in its other views; if most views need the repair, the upside-down one."""
+    """0 or 1: the camera whose board stands otherwise than in its other views.
+
+    If most views need the repair, the upside-down one.
+    """
     agreeing = consensus.agrees & (consensus.symmetry >= 0)
     mostly = np.mean(consensus.symmetry[agreeing] == symmetry) > 0.5
     score = []

@@ -2,9 +2,9 @@
 
 This is the one door to the hot loop; a compiled kernel replaces :func:`accumulate` and nothing else.
 
-Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi) T_camera_board``, so a
-corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps of the rig and of the board poses with
-adjoints (:mod:`binocal.solvers.stereo`).
+Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
+T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
+of the rig and of the board poses with adjoints (:mod:`binocal.solvers.stereo`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _scratch = threading.local()
 def _scratch_columns(shape: tuple[int, ...]) -> ndarray:
     """Uninitialised memory that this thread's next call will overwrite.
 
-    Fresh memory for every call cost more in page faults (2200 an iteration at 100 views) than the arithmetic: 6.3 ms against 3.8.
+    Fresh memory for every call cost more in page faults (2200 an iteration at 100 views) than the arithmetic: 6.3 ms
+    against 3.8.
     """
     size = int(np.prod(shape))
     buffer = getattr(_scratch, "buffer", None)
@@ -47,8 +48,8 @@ class ViewEquations:
     """Normal equations of every view of one camera.
 
     ``gram`` is the weighted Gram matrix of the columns [parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one.
-    ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost per view;
-    inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
+    ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost
+    per view; inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
     """
 
     gram: Float[ndarray, "*batch views q q"]
@@ -124,7 +125,10 @@ def squared_lengths(
     pixels: Float[ndarray, "*batch views 2 n"],
     is_seen: Bool[ndarray, "*batch views n"],
 ) -> Float[ndarray, "*batch views n"]:
-    """Squared residual lengths alone, a third of the cost of :func:`accumulate`; 0 where not seen, inf where not finite."""
+    """Squared residual lengths alone, a third of the cost of :func:`accumulate`.
+
+    0 where not seen, inf where not finite.
+    """
     X = R_camera_board @ object_points + t_camera_board[..., None]
     with np.errstate(all="ignore"):
         u, v = model.project(parameters[..., None, :], X[..., 0, :], X[..., 1, :], X[..., 2, :])

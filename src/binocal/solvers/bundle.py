@@ -1,13 +1,13 @@
 """Bundle adjustment of one camera, or of a stereo pair, over board views: equations, steps, retraction.
 
-Unknowns: each camera's intrinsics, the rig's ``T_right_left``, and one board pose ``T_left_board`` per view. Rigid transforms are
-stepped from the left, ``T <- (exp(omega), tau) T``, xi = (omega, tau). A right corner then moves by the same column whether the rig or
-the board stepped, up to the adjoint of ``T_right_left``; that is why :func:`accumulate` needs only six pose columns per camera. The board
-poses are eliminated view by view (Schur complement; Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6.1), so
-the cost is linear in the views.
+Unknowns: each camera's intrinsics, the rig's ``T_right_left``, and one board pose ``T_left_board`` per view. Rigid
+transforms are stepped from the left, ``T <- (exp(omega), tau) T``, xi = (omega, tau). A right corner then moves by the
+same column whether the rig or the board stepped, up to the adjoint of ``T_right_left``; that is why :func:`accumulate`
+needs only six pose columns per camera. The board poses are eliminated view by view (Schur complement; Triggs et al.
+2000, "Bundle adjustment: a modern synthesis", section 6.1), so the cost is linear in the views.
 
-Every array may carry leading batch dimensions: a batch of rigs with the same board and number of views is solved at once.
-All functions are pure.
+Every array may carry leading batch dimensions: a batch of rigs with the same board and number of views is solved at
+once. All functions are pure.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraObservations:
-    """One camera's corners, component-first, finite everywhere (0 where not seen), and which of its parameters are free."""
+    """One camera's corners, component-first, finite everywhere.
+
+    0 where not seen, and which of its parameters are free.
+    """
 
     model: CameraModel
     pixels: Float[ndarray, "*batch views 2 n"]
@@ -85,10 +88,12 @@ class BundleEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleEquations:
-    """The problem linearised at an estimate: per-camera equations and the total robust cost (inf where the estimate is impossible).
+    """The problem linearised at an estimate.
 
-    The cost includes ``prior_energy``, half the squared standardised distance from the models' weak priors, times the squared ``scale_px``
-    that stands for the noise.
+    Per-camera equations and the total robust cost (inf where the estimate is impossible).
+
+    The cost includes ``prior_energy``, half the squared standardised distance from the models' weak priors, times the
+    squared ``scale_px`` that stands for the noise.
     """
 
     cameras: tuple[ViewEquations, ...]
@@ -99,7 +104,10 @@ class BundleEquations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleStep:
-    """A Newton-like step: shared parameters (free ones only, in order), view poses, and the predicted fall of the cost."""
+    """A Newton-like step: shared parameters.
+
+    Free ones only, in order, view poses, and the predicted fall of the cost.
+    """
 
     shared: Float[ndarray, "*batch s"]
     views: Float[ndarray, "*batch views 6"]
@@ -166,7 +174,10 @@ def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:
 def assemble(
     problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations
 ) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
-    """Full normal equations in blocks: shared H (*b, s, s) and g, views' H (*b, v, 6, 6) and g, coupling (*b, v, 6, s)."""
+    """Full normal equations in blocks.
+
+    Shared H (*b, s, s) and g, views' H (*b, v, 6, 6) and g, coupling (*b, v, 6, s).
+    """
     H_views, coupling, g_views = [], [], []
     n_shared = problem.n_shared
     batch_views = estimate.t_left_board.shape[:-1]
