@@ -41,7 +41,7 @@ def test_exact_corners_give_the_exact_homography() -> None:
 @given(seed=st.integers(0, 1000), n_missing=st.integers(0, 80))
 @settings(max_examples=20, deadline=None)
 def test_missing_corners_do_not_matter(seed: int, n_missing: int) -> None:
-    points, px, H = _views(2, seed)
+    points, px, _ = _views(2, seed)
     px = px.copy()
     px[0, np.random.default_rng(seed).permutation(88)[:n_missing]] = np.nan
     fit = fit_homographies(points, px)

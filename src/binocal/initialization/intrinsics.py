@@ -29,11 +29,11 @@ _CENTRE_PRIOR = 0.12  # half diagonals: principal points of real cameras, wide
 class InitialCamera:
     """A camera to start the joint solver from.
 
-    ``parameters``: fx, fy, cx, cy, skew, then the model's distortion. ``poses`` are ``T_camera_board`` by view (NaN where not usable),
-    ``homographies`` what the views looked like before any of this, ``weights`` how far each corner is
-    trusted, ``vanishing`` how well the views determine the pinhole
-    (coordinates: half diagonals around ``lifting.centre_px``; ``columns`` and ``covariance`` are its input, at most 40 views).
-    ``rms_px`` is the RMS distance of the corners that the robust weights trust, pixels, under the full model, over at most 40 views.
+    ``parameters``: fx, fy, cx, cy, skew, then the model's distortion. ``poses`` are ``T_camera_board`` by view (NaN
+    where not usable), ``homographies`` what the views looked like before any of this, ``weights`` how far each corner
+    is trusted, ``vanishing`` how well the views determine the pinhole (coordinates: half diagonals around
+    ``lifting.centre_px``; ``columns`` and ``covariance`` are its input, at most 40 views). ``rms_px`` is the RMS
+    distance of the corners that the robust weights trust, pixels, under the full model, over at most 40 views.
     """
 
     model: str
@@ -67,9 +67,10 @@ def estimate_intrinsics(
 ) -> InitialCamera:
     """Camera and board poses from corners alone, no nominal focal length; NaN = not seen, object points in z = 0.
 
-    The radial profile comes first, from straightness (homographies) alone; vanishing points of the lifted views then give the
-    pinhole; the profile is rewritten in the model's own coefficients, and those are refitted to the poses, linearly
-    (Zhang 2000, eq. 13), where that lowers the residual. Lands within a few pixels, for the joint solver to finish.
+    The radial profile comes first, from straightness (homographies) alone; vanishing points of the lifted views then
+    give the pinhole; the profile is rewritten in the model's own coefficients, and those are refitted to the poses,
+    linearly (Zhang 2000, eq. 13), where that lowers the residual. Lands within a few pixels, for the joint solver to
+    finish.
 
     Raises:
         TooFewViewsError: No view has a homography.
@@ -128,19 +129,18 @@ def estimate_intrinsics(
         distortion = fit_brown(lifting, fx, r_max, camera_model(model).n_parameters - 5)
     parameters = np.r_[fx, fy, lifting.centre_px, K[0, 1] * lifting.unit_px / lifting.aspect, distortion]
     some = some[poses.is_usable[some]]
+    xy = np.asarray(object_points, dtype=float)[:, :2]
     parameters, rms_px = _refit_distortion(
-        model, parameters, select_poses(poses, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
-        weights[some],
-    )  # fmt: skip
+        model, parameters, select_poses(poses, some), xy, u[some], v[some], weights[some]
+    )
     if np.min(np.where(weights > 0.05, g, 1.0)) < _STRONG_G:
-        # The model's own coefficients bend a strong lens otherwise than the profile did: poses once more, through the model
+        # The model's own coefficients bend a strong lens otherwise than the profile did: poses again, through the model
         rays = unproject_all(model, parameters, np.where(is_seen[..., None], pixels, np.nan))
         again = poses_from_rays(frame, rays, pixels, weights)
         if again.is_usable[some].all():
             refitted, rms_again = _refit_distortion(
-                model, parameters, select_poses(again, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
-                weights[some],
-            )  # fmt: skip
+                model, parameters, select_poses(again, some), xy, u[some], v[some], weights[some]
+            )
             if rms_again < rms_px:
                 parameters, rms_px, poses = refitted, rms_again, again
     return InitialCamera(

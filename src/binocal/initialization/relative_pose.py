@@ -1,8 +1,9 @@
 """``T_right_left`` by consensus over views, board symmetries included; never the plain mean.
 
-Each view's pair of board poses proposes a transform. A proposal predicts every other view's right picture from its left pose, and the
-quadratic forms of :class:`BoardPoses` tell by how many pixels it misses, without touching corners. The proposal with the most votes
-is then refined jointly with one board pose per view (Gauss-Newton on both cameras' quadratic forms, views eliminated).
+Each view's pair of board poses proposes a transform. A proposal predicts every other view's right picture from its
+left pose, and the quadratic forms of :class:`BoardPoses` tell by how many pixels it misses, without touching corners.
+The proposal with the most votes is then refined jointly with one board pose per view (Gauss-Newton on both cameras'
+quadratic forms, views eliminated).
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ _OWN_RATIO = 2.0  # nor is one that its own camera's start already misses by hal
 class Consensus:
     """``T_right_left``, and how each view stands to it.
 
-    ``agrees`` marks the views that support it; ``symmetry`` is the index of the board symmetry each view needed (0 = none, -1 = the
-    view lacks a camera); ``miss_px`` the RMS distance of both cameras' corners once the view's own board pose is refitted under
-    T_right_left, ``limit_px`` the bound on it that the agreeing views set (or twice what the view misses by without any rig); ``T_left_board`` those poses (NaN rows where unusable).
+    ``agrees`` marks the views that support it; ``symmetry`` is the index of the board symmetry each view needed (0 =
+    none, -1 = the view lacks a camera); ``miss_px`` the RMS distance of both cameras' corners once the view's own
+    board pose is refitted under T_right_left, ``limit_px`` the bound on it that the agreeing views set (or twice what
+    the view misses by without any rig); ``T_left_board`` those poses (NaN rows where unusable).
     """
 
     T_right_left: SE3
@@ -54,8 +56,8 @@ def estimate_relative_pose(
 ) -> Consensus | None:
     """Consensus over the views that both cameras see, or None where no view has both.
 
-    ``symmetries``: transforms of the board onto itself, the identity first; a view may use any of them on its right pose
-    (``T_right_board S``). Proposals come from at most ``max_proposals`` evenly chosen views.
+    ``symmetries``: transforms of the board onto itself, the identity first; a view may use any of them on its right
+    pose (``T_right_board S``). Proposals come from at most ``max_proposals`` evenly chosen views.
     """
     both = np.flatnonzero(left.is_usable & right.is_usable)
     n_views = len(left.is_usable)
@@ -112,7 +114,7 @@ def estimate_relative_pose(
 
 
 def transfer_px(T: SE3, left: BoardPoses, right: BoardPoses, motion: SE3) -> Float[ndarray, "views"]:
-    """RMS miss, pixels, of each right view predicted as ``T T_left_board motion``; NaN where a camera lacks the view."""
+    """RMS pixels of right views under proposals: predicted T_right_board = T T_left_board S⁻¹."""
     both = np.flatnonzero(left.is_usable & right.is_usable)
     out = np.full(len(left.is_usable), np.nan)
     moved = SE3(motion.R.reshape(1, 3, 3), motion.t.reshape(1, 3)).inverse()
@@ -143,7 +145,8 @@ def _with_symmetry(
 ) -> tuple[Float[ndarray, "views 9 9"], Float[ndarray, "views 3 3"], PlaneFrame]:
     """Right quadratic forms rewritten for the pose ``T_right_board S``: h(pose S⁻¹) is linear in h(pose).
 
-    A symmetry maps the plane onto itself, so on (x, y, 1) it is a 3x3 matrix A, and [s r1, s r2, t] changes by A from the right.
+    A symmetry maps the plane onto itself, so on (x, y, 1) it is a 3x3 matrix A, and [s r1, s r2, t] changes by A from
+    the right.
     """
     frame = right.frame
     inverse = S.inverse()
@@ -167,7 +170,7 @@ def _refine(
     agrees: ndarray,
     n_iterations: int,
 ) -> tuple[SE3, ndarray, ndarray, ndarray]:
-    """T_right_left and board poses by Gauss-Newton, the agreeing views' only for T; and each view's RMS over both cameras."""
+    """T_right_left (agreeing views) and board poses by Gauss-Newton; each view's RMS over both cameras."""
     fit_R, turn_R, frame = right_form
     fit_L, turn_L = left.fit[both], left.turn[both]
     n_corners = left.n_corners[both]
