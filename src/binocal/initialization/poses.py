@@ -130,8 +130,6 @@ def poses_from_rays(
     with np.errstate(all="ignore"):
         px = w * (px_per_unit * px_per_unit)[:, None]
         rows = solve_plane(plane_moments(frame.basis, a, b, px)).rows
-        depth = map_plane(rows, frame.xy)[2]
-        rows = solve_plane(plane_moments(frame.basis, a, b, px / np.maximum(depth * depth, 1e-2))).rows
         is_usable = (np.count_nonzero(w > 0.05, axis=-1) >= MIN_POINTS) & np.all(np.isfinite(rows), axis=(-1, -2))
         rows = np.where(is_usable[:, None, None], rows, np.eye(3))
         R, t, size = _decompose(rows, frame.scale)
