@@ -300,10 +300,7 @@ def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     principal = initial.parameters[2:4]
     sigma = np.maximum(initial.vanishing.sigma_centre * initial.unit_px, 1.0)
-    trusted = px[initial.weights > 0.5]
-    if not len(trusted):
-        return ""
-    far = trusted.max(axis=0)
+    far = np.array([np.max(px[..., k], where=initial.weights > 0.5, initial=0.0) for k in range(2)])
     offset = centre - principal
     implied = 2 * principal + 1
     if not np.all(far < 1.12 * implied):  # lenses sit a few percent off the middle of their own picture too
