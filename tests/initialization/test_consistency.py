@@ -40,17 +40,23 @@ CLEAN = {
     "noisy": {"noise_px": 0.3},
     "three_views": {"n_views": 3},
     "weak": {"n_views": 6, "tilt_deg": (2, 12), "distance_m": (1, 2)},
-    "vergent": {"T_right_left": SE3(so3.exp(np.array([0.02, 0.35, 0.03])), np.array([-0.3, 0.01, 0.05])), "tilt_deg": (5, 30)},
+    "vergent": {
+        "T_right_left": SE3(so3.exp(np.array([0.02, 0.35, 0.03])), np.array([-0.3, 0.01, 0.05])),
+        "tilt_deg": (5, 30),
+    },
     "vertical": {"T_right_left": SE3(so3.exp(np.array([0.05, 0.01, 0.0])), np.array([0.002, -0.08, 0.0]))},
     "fisheye": {"model": "fisheye4", "parameters": FISHEYE, "size_wh": (640, 480)},
     "wide": {"parameters": np.array([700, 700, 641, 470, 0, -0.35, 0.12, 1e-3, -5e-4])},
     "off_centre": {
-        "parameters": KITTI_LIKE, "size_wh": (1242, 375), "n_views": 12, "points": grid(7, 5, 0.1),
+        "parameters": KITTI_LIKE,
+        "size_wh": (1242, 375),
+        "n_views": 12,
+        "points": grid(7, 5, 0.1),
         "T_right_left": SE3(np.eye(3), np.array([-0.54, 0, 0])),
     },
     "square_board": {"points": grid(8, 8)},
     "exact": {"noise_px": 0.0},
-}  # fmt: skip
+}
 
 
 def _assert_no_alarm(rig: Rig) -> None:
@@ -187,22 +193,46 @@ def _size(rig: Rig, width: int, height: int, right: tuple[int, int] | None = Non
 
 REFUSED: dict[str, tuple[Callable[[Rig], Detections], type[BinocalError], str]] = {
     "columns and rows exchanged": (
-        lambda r: r.detections(_by_columns(r.left_px), _by_columns(r.right_px)), InconsistentViewsError, "columns and rows are exchanged"),
+        lambda r: r.detections(_by_columns(r.left_px), _by_columns(r.right_px)),
+        InconsistentViewsError,
+        "columns and rows are exchanged",
+    ),
     "right columns and rows exchanged": (
-        lambda r: r.detections(right_px=_by_columns(r.right_px)), InconsistentViewsError, "exchanged in the right corners"),
+        lambda r: r.detections(right_px=_by_columns(r.right_px)),
+        InconsistentViewsError,
+        "exchanged in the right corners",
+    ),
     "board with exchanged dimensions": (
-        lambda r: Detections.from_arrays(grid(8, 11), r.left_px, r.right_px, r.size_wh), InconsistentViewsError, "columns and rows"),
+        lambda r: Detections.from_arrays(grid(8, 11), r.left_px, r.right_px, r.size_wh),
+        InconsistentViewsError,
+        "columns and rows",
+    ),
     "another board": (
-        lambda r: Detections.from_arrays(grid(22, 4), r.left_px, r.right_px, r.size_wh), InconsistentViewsError, "columns, rows or corner order"),
+        lambda r: Detections.from_arrays(grid(22, 4), r.left_px, r.right_px, r.size_wh),
+        InconsistentViewsError,
+        "columns, rows or corner order",
+    ),
     "one view": (lambda r: r.detections().select(np.arange(1)), TooFewViewsError, "1 usable view, 3 needed"),
     "two views": (lambda r: r.detections().select(np.arange(2)), TooFewViewsError, "2 usable views, 3 needed"),
     "picture size too small": (lambda r: _size(r, 640, 480), DataError, "lies outside the 640x480 picture"),
     "picture size swapped": (lambda r: _size(r, 960, 1280), DataError, "swapped: give 1280x960"),
     "picture size too large": (lambda r: _size(r, 2560, 1920), DataError, "image size looks wrong"),
-    "right corners at half resolution": (lambda r: r.detections(right_px=r.right_px / 2), DataError, "right corners are at about 0.5"),
-    "left corners at half resolution": (lambda r: r.detections(left_px=r.left_px / 2), DataError, "left corners are at about 0.5"),
-    "nothing seen": (lambda r: r.detections(right_px=np.full_like(r.right_px, np.nan)), TooFewViewsError, "0 usable views"),
-}  # fmt: skip
+    "right corners at half resolution": (
+        lambda r: r.detections(right_px=r.right_px / 2),
+        DataError,
+        "right corners are at about 0.5",
+    ),
+    "left corners at half resolution": (
+        lambda r: r.detections(left_px=r.left_px / 2),
+        DataError,
+        "left corners are at about 0.5",
+    ),
+    "nothing seen": (
+        lambda r: r.detections(right_px=np.full_like(r.right_px, np.nan)),
+        TooFewViewsError,
+        "0 usable views",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)

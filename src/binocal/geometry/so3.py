@@ -74,10 +74,7 @@ def project_to_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*bat
 
 
 def turn_to_z(axis: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation that takes a unit vector to (0, 0, 1) by the shortest way, as two reflections.
-
-    Free below 179° from it.
-    """
+    """Rotation that takes a unit vector to (0, 0, 1) by the shortest way, as two reflections; exact below 179°."""
     half = axis + np.array([0.0, 0.0, 1.0])
     half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
     R = 2 * half[..., :, None] * half[..., None, :] - np.eye(3)

@@ -1,11 +1,11 @@
 """Lens distortion before anything else is known: the radial profile that makes board views projective.
 
-A pixel at (dx, dy) from the distortion centre is lifted to the ray (dx, dy, g), g = 1 + l1 r² + l2 r⁴, lengths in half
-diagonals of the picture. With l1 < 0 this covers barrel distortion and every usual fisheye (equidistant: g = θ / tan θ,
-whose series it follows to 1 % at 75°; stereographic: l2 = 0 exactly), rays beyond 90° included (g < 0). Neither focal
-length nor pose enters: the homographies' residual alone decides (Fitzgibbon 2001, "Simultaneous linear estimation of
-multiple view geometry and lens distortion"; two coefficients and the centre are this project's, solved by Gauss-Newton
-with the homographies eliminated).
+A pixel at (dx, dy) from the distortion centre is lifted to the ray (dx, dy, g), g = 1 + l1 r² + l2 r⁴, lengths in
+half diagonals of the picture. With l1 < 0 this covers barrel distortion and every usual fisheye (equidistant: g = θ /
+tan θ, whose series it follows to 1 % at 75°; stereographic: l2 = 0 exactly), rays beyond 90° included (g < 0).
+Neither focal length nor pose enters: the homographies' residual alone decides (Fitzgibbon 2001, "Simultaneous linear
+estimation of multiple view geometry and lens distortion"; two coefficients and the centre are this project's, solved
+by Gauss-Newton with the homographies eliminated).
 """
 
 from __future__ import annotations
@@ -39,10 +39,7 @@ _CANDIDATES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lifting:
-    """Radial profile: pixel → ray (dx, dy, g).
-
-    ``centre_px`` and ``unit_px`` place and scale it, ``aspect`` = fx / fy.
-    """
+    """Radial profile, pixel → ray (dx, dy, g); placed by ``centre_px``, scaled by ``unit_px``, ``aspect`` = fx / fy."""
 
     centre_px: Float[ndarray, "2"]
     unit_px: float
@@ -136,9 +133,9 @@ def _fit_rays(
 ) -> tuple[PlaneFit, ndarray, ndarray, ndarray | None, ndarray, ndarray]:
     """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-picture scale, and the weights.
 
-    Where rays come near the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, after scaling g
-    to metric rays by the equidistant guess of the focal length) so that its mean ray is the axis: the homography found
-    is then M H.
+    Where rays come near the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, after scaling
+    g to metric rays by the equidistant guess of the focal length) so that its mean ray is the axis: the homography
+    found is then M H.
     """
     if np.all((g > _MIN_G) | (w == 0)):
         g = np.where(w > 0, g, 1.0)
@@ -177,10 +174,7 @@ def _cost(residuals: Float[ndarray, "k views 2 n"]) -> Float[ndarray, "k"]:
 def fit_lifted(
     lifting: Lifting, frame: PlaneFrame, u_px: ndarray, v_px: ndarray, weights: ndarray
 ) -> tuple[Float[ndarray, "views 3 2"], Float[ndarray, "views 6 6"], ndarray]:
-    """First two columns of each view's homography board →.
-
-    Dx, dy, g, their covariance for unit noise, and distances in pixels.
-    """
+    """First two columns of each homography board → (dx, dy, g), their covariance for unit noise, distances (px)."""
     dx, dy, g = lifting.lift(u_px, v_px)
     fit, du, dv, M, root, _ = _fit_rays(frame, dx, dy, g, weights, np.asarray(lifting.l1))
     columns, covariance = fit.rows[..., :2], fit.column_covariance
@@ -196,8 +190,8 @@ def fit_lifted(
 def fit_brown(lifting: Lifting, focal_px: float, r_max: float, n_coefficients: int) -> Float[ndarray, "d"]:
     """Brown-Conrady coefficients (k1, k2, p1, p2, ...) that follow the profile up to radius ``r_max`` (units).
 
-    k1, k2 for four coefficients, k3 too for more; the rational ones stay 0. Fewer where the polynomial would fold back
-    in range.
+    k1, k2 for four coefficients, k3 too for more; the rational ones stay 0. Fewer where the polynomial would fold
+    back in range.
     """
     f = focal_px / lifting.unit_px
     r = np.linspace(0.02, 1, 60) * r_max
@@ -219,10 +213,7 @@ def fit_brown(lifting: Lifting, focal_px: float, r_max: float, n_coefficients: i
 
 
 def fit_kannala_brandt(lifting: Lifting, focal_px: float, r_max: float) -> Float[ndarray, "4"]:
-    """Fisheye coefficients that follow the profile up to radius ``r_max`` (units).
-
-    K3, k4 stay 0 below 70° of half field.
-    """
+    """Fisheye coefficients that follow the profile up to ``r_max`` (units); k3, k4 stay 0 below 70° of half field."""
     f = focal_px / lifting.unit_px
     r = np.linspace(0.02, 1, 60) * r_max
     theta = np.arctan2(r / f, 1 + r * r * (lifting.l1 + r * r * lifting.l2))

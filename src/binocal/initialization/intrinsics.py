@@ -129,20 +129,18 @@ def estimate_intrinsics(
         distortion = fit_brown(lifting, fx, r_max, camera_model(model).n_parameters - 5)
     parameters = np.r_[fx, fy, lifting.centre_px, K[0, 1] * lifting.unit_px / lifting.aspect, distortion]
     some = some[poses.is_usable[some]]
+    xy = np.asarray(object_points, dtype=float)[:, :2]
     parameters, rms_px = _refit_distortion(
-        model, parameters, select_poses(poses, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
-        weights[some],
-    )  # fmt: skip
+        model, parameters, select_poses(poses, some), xy, u[some], v[some], weights[some]
+    )
     if np.min(np.where(weights > 0.05, g, 1.0)) < _STRONG_G:
-        # The model's own coefficients bend a strong lens otherwise than the profile did: poses once more, through the
-        # model
+        # The model's own coefficients bend a strong lens otherwise than the profile did: poses again, through the model
         rays = unproject_all(model, parameters, np.where(is_seen[..., None], pixels, np.nan))
         again = poses_from_rays(frame, rays, pixels, weights)
         if again.is_usable[some].all():
             refitted, rms_again = _refit_distortion(
-                model, parameters, select_poses(again, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
-                weights[some],
-            )  # fmt: skip
+                model, parameters, select_poses(again, some), xy, u[some], v[some], weights[some]
+            )
             if rms_again < rms_px:
                 parameters, rms_px, poses = refitted, rms_again, again
     return InitialCamera(

@@ -1,9 +1,9 @@
 """Poses of a planar board from one camera's rays, all views at once, in closed form.
 
-Each view's rays are first turned so that their mean is the z axis: pinhole and fisheye are then alike, rays beyond 90°
-included, and the planar two-fold ambiguity is a change of sign. The homography's sums (:func:`plane_moments`) are kept
-as a quadratic form in the pose's nine numbers (r1, r2, t), so that refining a pose, or asking how well any other pose
-fits, needs no corners.
+Each view's rays are first turned so that their mean is the z axis: pinhole and fisheye are then alike, rays beyond
+90° included, and the planar two-fold ambiguity is a change of sign. The homography's sums (:func:`plane_moments`) are
+kept as a quadratic form in the pose's nine numbers (r1, r2, t), so that refining a pose, or asking how well any other
+pose fits, needs no corners.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def estimate_pose_candidates(
 ) -> tuple[BoardPoses, BoardPoses]:
     """Both planar candidates of every view, each refined, the better first: in far or weak views they fit almost alike.
 
-    Source: Collins & Bartoli 2014, "Infinitesimal plane-based pose estimation", on the ambiguity; the second candidate
-    here is the first with its tilt against the line of sight reversed, then refined.
+    Source: Collins & Bartoli 2014, "Infinitesimal plane-based pose estimation", on the ambiguity; the second
+    candidate here is the first with its tilt against the line of sight reversed, then refined.
     """
     pixels = np.asarray(pixels, dtype=float)
     if weights is None:
@@ -130,8 +130,6 @@ def poses_from_rays(
     with np.errstate(all="ignore"):
         px = w * (px_per_unit * px_per_unit)[:, None]
         rows = solve_plane(plane_moments(frame.basis, a, b, px)).rows
-        depth = map_plane(rows, frame.xy)[2]
-        rows = solve_plane(plane_moments(frame.basis, a, b, px / np.maximum(depth * depth, 1e-2))).rows
         is_usable = (np.count_nonzero(w > 0.05, axis=-1) >= MIN_POINTS) & np.all(np.isfinite(rows), axis=(-1, -2))
         rows = np.where(is_usable[:, None, None], rows, np.eye(3))
         R, t, size = _decompose(rows, frame.scale)
@@ -145,8 +143,8 @@ def poses_from_rays(
     fit[:, 6:, 6:] = moments[:, 3]
     poses = BoardPoses(R, t, is_usable, np.zeros(len(w)), fit, turn, np.maximum(n_corners, 1e-9), frame)
     poses = _refined(poses, R, t, n_iterations)
-    # Weak perspective: where the tilt is small or the board far, the closed form may fall into the wrong valley. A pose
-    # that fits nearly as well as a homography (two parameters more) is in the right one.
+    # Weak perspective: where the tilt is small or the board far, the closed form may fall into the wrong valley. A
+    # pose that fits nearly as well as a homography (two parameters more) is in the right one.
     h = (rows * (frame.scale / size)[:, None, None]).reshape(-1, 9)
     free_rms = np.sqrt(np.maximum(np.sum(h * (fit @ h[..., None])[..., 0], axis=-1), 0.0) / poses.n_corners)
     doubtful = np.flatnonzero(is_usable & (poses.rms_px > 1.3 * free_rms))
@@ -170,10 +168,7 @@ def select_poses(poses: BoardPoses, views: Int[ndarray, "k"]) -> BoardPoses:
 
 
 def _decompose(rows: Float[ndarray, "*batch 3 3"], scale: float) -> tuple[ndarray, ndarray, ndarray]:
-    """Rotation, position of the frame's centre, and length of the columns.
-
-    By the symmetric orthogonalisation of [h1 h2].
-    """
+    """Rotation, position of the frame's centre, and length of the columns, by orthogonalising [h1 h2] symmetrically."""
     A = rows[..., :2]
     G = A.swapaxes(-1, -2) @ A
     root_det = np.sqrt(np.maximum(G[..., 0, 0] * G[..., 1, 1] - G[..., 0, 1] ** 2, 1e-300))
@@ -198,10 +193,7 @@ def pose_vector(
 
 
 def pose_jacobian(R: Float[ndarray, "*batch 3 3"], scale: float) -> Float[ndarray, "*batch 9 6"]:
-    """Derivative of :func:`pose_vector` by a left rotation ``exp(w) R`` about the board's centre.
-
-    And by its position.
-    """
+    """Derivative of :func:`pose_vector` by a left rotation about the board's centre, and by its position."""
     J = np.zeros((*R.shape[:-2], 3, 3, 6))
     for column in range(2):
         J[..., :, column, :3] = -so3.hat(R[..., column] * scale)
@@ -210,10 +202,7 @@ def pose_jacobian(R: Float[ndarray, "*batch 3 3"], scale: float) -> Float[ndarra
 
 
 def _refined(poses: BoardPoses, R: ndarray, t_centre: ndarray, n_iterations: int) -> BoardPoses:
-    """Gauss-Newton on the quadratic form from turned-frame poses of the board's centre.
-
-    Fills R, t, rms_px in the camera's frame.
-    """
+    """Gauss-Newton on the quadratic form, from turned-frame poses of the board's centre to the camera's frame."""
     scale = poses.frame.scale
     fit = poses.fit
     h = pose_vector(R, t_centre, scale)

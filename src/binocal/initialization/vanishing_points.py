@@ -7,8 +7,8 @@ conic ω = K⁻ᵀ K⁻¹ (eqs 9, 10):
     h1ᵀ ω h2 = 0,    (h1 + h2)ᵀ ω (h1 - h2) = h1ᵀ ω h1 - h2ᵀ ω h2 = 0.
 
 Three views determine five linear parameters, two determine four (no skew), one the focal length with a centred
-principal point. The linear solution is then polished by weighting both constraints of a view by their covariance, with
-a robust weight per view.
+principal point. The linear solution is then polished by weighting both constraints of a view by their covariance,
+with a robust weight per view.
 
 Coordinates here are pixels relative to the assumed centre, divided by half the picture's diagonal (``unit``).
 """
@@ -37,10 +37,10 @@ class VanishingEstimate:
     """Pinhole matrix in unit coordinates, and how far it can be trusted.
 
     ``freedom`` counts the linear parameters that the closed form could determine: 5, 4, 3 (centred), 1 (centred, fx =
-    fy). ``residuals`` are both constraints of each view in standard deviations, ``weights`` the views' robust weights,
-    ``singular_values`` those of the linear system, ascending, relative to the largest; ``sigma_log_focal`` the relative
-    standard deviation of the focal length, from views whose tilt is significant; ``sigma_centre`` that of the principal
-    point in half diagonals.
+    fy). ``residuals`` are both constraints of each view in standard deviations, ``weights`` the views' robust
+    weights, ``singular_values`` those of the linear system, ascending, relative to the largest; ``sigma_log_focal``
+    the relative standard deviation of the focal length, from views whose tilt is significant; ``sigma_centre`` that
+    of the principal point in half diagonals.
     """
 
     K: Float[ndarray, "3 3"]
@@ -71,9 +71,9 @@ def solve_conic(
 ) -> tuple[Float[ndarray, "3 3"] | None, Float[ndarray, "k"]]:
     """K of the vanishing-point constraints, or None where ω is not positive definite; and the system's singular values.
 
-    ``freedom``: 5 all of K; 4 no skew; 3 no skew, centred principal point taken as a half step (fx, fy: two numbers); 1
-    fx = fy, centred. The focal length of ``freedom`` 3 and 1 follows from ω = diag(1/fx², 1/fy², 1). Source: eqs 9, 10;
-    Zhang 2000, appendix B.
+    ``freedom``: 5 all of K; 4 no skew; 3 no skew and a centred principal point; 1 fx = fy too.
+    The focal length of ``freedom`` 3 and 1 follows from ω = diag(1/fx², 1/fy², 1). Source: eqs 9,
+    10; Zhang 2000, appendix B.
     """
     h1, h2 = columns[..., 0], columns[..., 1]
     size = np.sqrt(np.sum(h1 * h1, axis=-1) + np.sum(h2 * h2, axis=-1))
@@ -106,10 +106,7 @@ def solve_conic(
 
 
 def _pinhole_of_conic(omega: Float[ndarray, "6"]) -> Float[ndarray, "3 3"] | None:
-    """K with K33 = 1 from ω = K⁻ᵀ K⁻¹ up to scale, by Cholesky.
-
-    None where ω is indefinite or K leaves the plausible range.
-    """
+    """K with K33 = 1 from ω = K⁻ᵀ K⁻¹ up to scale, by Cholesky; None where ω is indefinite or K implausible."""
     W = omega[np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])]
     try:
         lower = np.linalg.cholesky(W if np.trace(W) > 0 else -W)
@@ -132,14 +129,12 @@ def estimate_pinhole(
     has_skew: bool = False,
     log_focal: tuple[float, float] | None = None,
 ) -> VanishingEstimate:
-    """K from the first two columns of each view's homography and their covariance, order.
-
-    H11, h21, h31, h12, h22, h32.
+    """K from the first two columns of the homographies and their covariance, order (h11, h21, h31, h12, h22, h32).
 
     The closed form is tried with as many parameters as the views can carry and falls back, loudly (``notes``), to
-    fewer. The polish minimises the squared constraints in standard deviations under weak priors: principal point within
-    ``sigma_centre`` of the origin, fx / fy within 20 % of 1, and ``log_focal`` (value, sigma) where another camera
-    vouches for it; where the views speak, the priors are silent. One weight per view (Cauchy) tames bad views.
+    fewer. The polish minimises the squared constraints in standard deviations under weak priors: principal point
+    within ``sigma_centre`` of the origin, fx / fy within 20 % of 1, and ``log_focal`` (value, sigma) where another
+    camera vouches for it; where the views speak, the priors are silent. One weight per view (Cauchy) tames bad views.
 
     Raises:
         TooFewViewsError: No view at all.
@@ -208,10 +203,7 @@ def _back_project(theta: Float[ndarray, "*batch 5"], columns: ndarray) -> tuple[
 
 
 def _constraints(theta: Float[ndarray, "*batch 5"], columns: ndarray) -> ndarray:
-    """Cosine between the edge directions, and their relative difference in length.
-
-    = cosine of the diagonals, (*batch, views, 2).
-    """
+    """Cosines between the edge directions and between the diagonals, (*batch, views, 2)."""
     A, _, _ = _back_project(theta, columns)
     a, b = A[..., 0], A[..., 1]
     aa, bb = np.sum(a * a, axis=-1), np.sum(b * b, axis=-1)
@@ -267,10 +259,7 @@ def _polish(
     has_skew: bool,
     log_focal: tuple[float, float] | None,
 ) -> tuple[float, ndarray, ndarray, ndarray, ndarray]:
-    """Robust cost, parameters, whitened residuals, view weights and information.
-
-    Priors left out after Gauss-Newton.
-    """
+    """Robust cost, parameters, whitened residuals, view weights and information (without priors) of Gauss-Newton."""
     n_free = 5 if has_skew else 4
     theta = theta.copy()
     if not has_skew:
@@ -335,9 +324,7 @@ def _hat(a: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
 def _uncertainty(
     theta: ndarray, columns: ndarray, covariance: ndarray, information: ndarray, n_views: int
 ) -> tuple[float, Float[ndarray, "2"]]:
-    """Relative sigma of the focal length.
-
-    Principal point and aspect marginalised under weak priors and of the principal point.
+    """Relative sigma of the focal length (all else marginalised under weak priors), and sigma of the principal point.
 
     Information that comes from noise alone does not count: it is scaled by the share of the tilt that exceeds 3 sigma.
     """
@@ -361,8 +348,8 @@ def check_orientations(
     """Refuse sets of views from which no pinhole matrix follows: all fronto-parallel, or all parallel to each other.
 
     The decision is statistical: the scatter of the boards' slopes against the covariance that the corners' own
-    residuals give them, so that a weak but honest set passes. ``n_distinct``: number of views left when repeated poses
-    count once.
+    residuals give them, so that a weak but honest set passes. ``n_distinct``: number of views left when repeated
+    poses count once.
 
     Raises:
         DegenerateGeometryError: Named set, and what to add.
@@ -392,6 +379,7 @@ def check_orientations(
             else f"parallel to each other (tilt {tilt_deg:.0f} deg)"
         )
         raise DegenerateGeometryError(
-            f"all boards seen by the {camera} camera are {which} within the noise (orientations scatter by {spread_deg:.2g} deg): "
+            f"all boards seen by the {camera} camera are {which} within the noise (orientations scatter by "
+            f"{spread_deg:.2g} deg): "
             f"focal length and principal point are undetermined; {_REMEDY}."
         )
