@@ -410,13 +410,14 @@ def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tup
     trusted_px = max(
         4 * own, 1.0
     )  # where intrinsics are sound, a true consensus adds next to nothing to the views' own residuals
-    consensus = estimate_relative_pose(left, right)
+    start_px = max(camera.rms_px for camera in cameras)
+    consensus = estimate_relative_pose(left, right, start_rms_px=start_px)
     share, typical = _quality(consensus)
     if share == 1.0 and typical < trusted_px:
         return consensus, None
     symmetries = board_symmetries(detections.object_points_m)
     if len(symmetries.names) > 1:
-        other = estimate_relative_pose(left, right, symmetries.motions, max_proposals=32)
+        other = estimate_relative_pose(left, right, symmetries.motions, max_proposals=32, start_rms_px=start_px)
         other_share, other_typical = _quality(other)
         n_more = int(other.agrees.sum()) - int(consensus.agrees.sum())
         if (other_typical < 3 * max(typical, own) and n_more > 0) or other_typical < typical / 3:
@@ -427,7 +428,7 @@ def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tup
             moved = _shifted(right, shift)
             if np.sum(left.is_usable & moved.is_usable) < MIN_VIEWS:
                 continue
-            other = estimate_relative_pose(left, moved, symmetries.motions)
+            other = estimate_relative_pose(left, moved, symmetries.motions, start_rms_px=start_px)
             other_share, other_typical = _quality(other)
             if other_share > 0.7 and other_typical < max(trusted_px, 2.0) and other_typical < (typical + own) / 3:
                 k = int(np.flatnonzero(other.agrees)[0])

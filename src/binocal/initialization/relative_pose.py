@@ -54,11 +54,13 @@ def estimate_relative_pose(
     *,
     max_proposals: int = _MAX_PROPOSALS,
     n_iterations: int = 3,
+    start_rms_px: float = 0.0,
 ) -> Consensus | None:
     """Consensus over the views that both cameras see, or None where no view has both.
 
     ``symmetries``: transforms of the board onto itself, the identity first; a view may use any of them on its right
     pose (``T_right_board S``). Proposals come from at most ``max_proposals`` evenly chosen views.
+    ``start_rms_px`` is what the cameras' own starts miss by: no view is blamed for less than six times that.
     """
     both = np.flatnonzero(left.is_usable & right.is_usable)
     n_views = len(left.is_usable)
@@ -99,7 +101,7 @@ def estimate_relative_pose(
     for _ in range(2):
         T, R_board, t_board, miss_px = _refine(T, L, left, right_form, both, agrees, n_iterations)
         typical = float(np.median(miss_px[agrees]))
-        limit_px = max(_FLOOR_PX, _RATIO * typical)
+        limit_px = max(_FLOOR_PX, _RATIO * max(typical, start_rms_px))
         before, agrees = agrees, miss_px < np.maximum(limit_px, _OWN_RATIO * own_px)
         if not agrees.any():
             agrees = miss_px <= miss_px.min()
