@@ -44,8 +44,7 @@ def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoC
         start = _start(diagnosis, used) if start is None else start
         minimum, n = _solve(problem, start)
         n_iterations += n
-        trust.check_convergence(bool(minimum.is_converged), n_iterations)
-        bad = _misfits(views, problem, minimum)
+        bad = _misfits(views, problem, minimum) if minimum.is_converged else {}
         if not bad:
             break
         keep = np.array([i not in bad for i in range(len(used))])
@@ -64,13 +63,7 @@ def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoC
         warnings=diagnosis.warnings,
         n_iterations=n_iterations,
     )
-    trust.check_fit(
-        views,
-        calibration.noise_px,
-        sum(v.n_outliers for v in calibration.views),
-        sum(v.n_corners for v in calibration.views),
-    )
-    return trust.with_warnings(calibration, minimum.estimate.R_left_board[:, :, 2])
+    return trust.judged(calibration, is_converged=bool(minimum.is_converged))
 
 
 def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:

@@ -13,7 +13,7 @@ from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions, Calibrator, 
 from binocal.calibrators.summary import joint_problem, rig_of
 from binocal.cameras import CAMERA_MODELS, StereoRig
 from binocal.detections import Detections
-from binocal.errors import CalibrationError, DataError
+from binocal.errors import CalibrationError, DataError, NotConvergedError
 from binocal.geometry import SE3
 from binocal.result import Evidence, StereoCalibration
 from binocal.solvers.bundle import BundleEstimate
@@ -73,7 +73,8 @@ def calibrate_with_best_model(
         except (CalibrationError, DataError) as error:
             failures[name] = error
     if not fits:
-        raise failures[names[0]]
+        # a solve that ran out of iterations says less than one that was refused for a reason
+        raise min(failures.values(), key=lambda error: isinstance(error, NotConvergedError))
     evidence = {name: fit.evidence for name, fit in fits.items() if fit.evidence is not None}
     good = _views_to_hold_out(evidence.values()) if evidence else ()
     if len(good) < MIN_VIEWS_FOR_CHOICE:

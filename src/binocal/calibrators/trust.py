@@ -39,61 +39,123 @@ Unless the focal lengths are known in spite of it.
 PARALLEL_FOCAL_SIGMA_SHARE = 0.002
 MAX_OUTLIER_SHARE = 0.3  # a robust fit that drops more than this has chosen one story among several
 
+MAX_CENTRE_OFFSET_SHARE = 0.25
+"""Distance of a principal point from the picture's middle over the picture's size. Lenses sit within 0.1, KITTI's crops within 0.05; a fit
+to boards that stay in one part of the picture, at one tilt, runs off to 0.3 and more."""
+CENTRE_OFFSET_SIGNIFICANCE = 5.0  # standard deviations; a poorly known principal point is not thereby a wrong one
+
 _ADD_TILTS = "add views with the board tilted 20-45 deg about both axes, at different distances"
 
 
-def check_convergence(is_converged: bool, n_iterations: int) -> None:
-    """Raises NotConvergedError unless the solver reached a minimum."""
+def judged(calibration: StereoCalibration, *, is_converged: bool) -> StereoCalibration:
+    """The calibration with the warnings of this room put first.
+
+    Raises:
+        InconsistentViewsError: The corners cannot be pictures of this board.
+        DegenerateGeometryError: The views do not determine the rig.
+        NotConvergedError: The solver did not reach a minimum.
+    """
+    check_fit(calibration)
+    warnings = check_observability(calibration)
     if not is_converged:
         raise NotConvergedError(
-            f"the joint solve did not reach a minimum in {n_iterations} iterations; "
-            f"the views may leave parameters undetermined: {_ADD_TILTS}."
+            f"the joint solve did not reach a minimum in {calibration.n_iterations} iterations; "
+            f"the views may leave parameters undetermined: {_ADD_TILTS}.",
+            describe_views(calibration),
         )
+    return replace(calibration, warnings=(*warnings, *calibration.warnings))
 
 
-def check_fit(detections: Detections, noise_px: float, n_outliers: int, n_corners: int) -> None:
-    """Raises InconsistentViewsError where the corners cannot be a picture of this board."""
-    spacing_px = corner_spacing_px(detections)
-    if noise_px > MAX_NOISE_SHARE * spacing_px:
+def check_fit(calibration: StereoCalibration) -> None:
+    """Raises InconsistentViewsError where the corners cannot be pictures of this board."""
+    if calibration.evidence is None:
+        return
+    spacing_px = corner_spacing_px(calibration.evidence.detections)
+    if calibration.noise_px > MAX_NOISE_SHARE * spacing_px:
         raise InconsistentViewsError(
-            f"the corners do not fit the board: residuals of {noise_px:.2f} px where corners are {spacing_px:.1f} px apart; "
-            "check the board's columns, rows and corner order, and that left and right pictures were taken together."
+            f"the corners do not fit the board: residuals of {calibration.noise_px:.2f} px where corners are "
+            f"{spacing_px:.1f} px apart; check the board's columns, rows and corner order, and that left and right pictures "
+            "were taken together.",
+            describe_views(calibration),
         )
+    n_outliers = sum(v.n_outliers for v in calibration.views)
+    n_corners = sum(v.n_corners for v in calibration.views)
     if n_outliers > MAX_OUTLIER_SHARE * n_corners:
         raise InconsistentViewsError(
             f"{n_outliers} of {n_corners} corners contradict the rest; "
-            "check the corner order, the pairing of left and right, and the camera model."
+            "check the corner order, the pairing of left and right, and the camera model.",
+            describe_views(calibration),
         )
 
 
-def check_observability(calibration: StereoCalibration, normals: Float[ndarray, "views 3"]) -> tuple[str, ...]:
-    """Warnings about weak geometry. ``normals`` are the board's directions in the left frame, one per view.
+def check_observability(calibration: StereoCalibration) -> tuple[str, ...]:
+    """Warnings about weak geometry.
 
     Raises:
-        DegenerateGeometryError: The views do not determine the rig.
+        DegenerateGeometryError: The views do not determine the rig; ``rejected`` says what each of them shows.
     """
     sigma = calibration.covariance.sigma
     warnings = []
-    spread_deg = normal_spread_deg(normals)
+    spread_deg = normal_spread_deg(board_normals(calibration))
     for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
         share = max(sigma[f"{side}.fx"] / camera.parameters[0], sigma[f"{side}.fy"] / camera.parameters[1])
-        if share > MAX_FOCAL_SIGMA_SHARE or (spread_deg < MIN_NORMAL_SPREAD_DEG and share > PARALLEL_FOCAL_SIGMA_SHARE):
+        is_parallel = spread_deg < MIN_NORMAL_SPREAD_DEG and share > PARALLEL_FOCAL_SIGMA_SHARE
+        if share > MAX_FOCAL_SIGMA_SHARE or is_parallel:
             raise DegenerateGeometryError(
                 f"the views do not determine the {side} focal length (standard deviation {100 * share:.1f} %): "
-                f"the board's directions differ by only {spread_deg:.1f} deg (fronto-parallel or repeated views); {_ADD_TILTS}."
+                f"the board's directions differ by only {spread_deg:.1f} deg; {_ADD_TILTS}.",
+                describe_views(calibration),
             )
         if share > WARN_FOCAL_SIGMA_SHARE:
             warnings.append(
                 f"the {side} focal length is known only to {100 * share:.1f} % (one standard deviation); {_ADD_TILTS}."
             )
+        size, centre = np.array(camera.size_wh), camera.parameters[2:4]
+        offset = np.abs(centre - (size - 1) / 2)
+        sigma_centre = np.array([sigma[f"{side}.cx"], sigma[f"{side}.cy"]])
+        if np.any((offset > MAX_CENTRE_OFFSET_SHARE * size) & (offset > CENTRE_OFFSET_SIGNIFICANCE * sigma_centre)):
+            raise DegenerateGeometryError(
+                f"the {side} principal point ({centre[0]:.0f}, {centre[1]:.0f}) comes out far from the middle of the "
+                f"{size[0]}x{size[1]} picture, which no lens does: the boards say too little about the camera, or the "
+                f"pictures are cropped; move the board over the whole picture and {_ADD_TILTS}.",
+                describe_views(calibration),
+            )
     sigma_t = float(np.sqrt(sum(sigma[f"translation.{axis}"] ** 2 for axis in "xyz")))
     baseline = calibration.rig.baseline_m
     if sigma_t > MAX_BASELINE_SIGMA_SHARE * baseline:
         raise DegenerateGeometryError(
-            f"the views do not determine the translation between the cameras (standard deviation {100 * sigma_t / baseline:.0f} % "
-            f"of the baseline); {_ADD_TILTS}."
+            "the views do not determine the translation between the cameras (standard deviation "
+            f"{100 * sigma_t / baseline:.0f} % of the baseline); {_ADD_TILTS}.",
+            describe_views(calibration),
         )
     return tuple(warnings)
+
+
+def describe_views(calibration: StereoCalibration) -> dict[str, str]:
+    """What each used view shows, for a refusal: tilt, place and residual. Views that were rejected before keep their reasons."""
+    described = {view.name: view.reason for view in calibration.rejected}
+    if calibration.evidence is None:
+        return described
+    evidence = calibration.evidence.detections
+    width, height = evidence.left_size_wh
+    tilt_deg = np.degrees(np.arccos(np.clip(np.abs(board_normals(calibration)[:, 2]), 0, 1)))
+    for index, view in enumerate(calibration.views):
+        px = evidence.left_px[index]
+        seen = px[np.isfinite(px[:, 0])]
+        place = ""
+        if len(seen):
+            share = np.ptp(seen, axis=0) / (width, height)
+            x, y = seen.mean(axis=0)
+            place = f", {100 * share[0]:.0f} % x {100 * share[1]:.0f} % of the left picture around ({x:.0f}, {y:.0f})"
+        described[view.name] = (
+            f"not used, the set is refused: board tilted {tilt_deg[index]:.0f} deg{place}, residual {view.rms_px:.2f} px"
+        )
+    return described
+
+
+def board_normals(calibration: StereoCalibration) -> Float[ndarray, "views 3"]:
+    """The board's direction in the left frame, one per used view; empty without evidence."""
+    return calibration.evidence.T_left_board.R[:, :, 2] if calibration.evidence else np.empty((0, 3))
 
 
 def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
@@ -114,8 +176,3 @@ def corner_spacing_px(detections: Detections) -> float:
     nearest = np.argmin(distance, axis=1)
     gaps = [np.linalg.norm(px[:, nearest] - px, axis=-1) for px in (detections.left_px, detections.right_px)]
     return float(np.nanmedian(np.concatenate(gaps, axis=None)))
-
-
-def with_warnings(calibration: StereoCalibration, normals: Float[ndarray, "views 3"]) -> StereoCalibration:
-    """The calibration with every warning of this room put first; raises as the checks do."""
-    return replace(calibration, warnings=(*check_observability(calibration, normals), *calibration.warnings))
