@@ -64,13 +64,15 @@ def test_leading_zeros_count_where_they_tell_pictures_apart(make):
 
 
 def test_copies_doubles_and_other_files_are_listed_with_reasons(make):
-    names = ["left03.jpg", "left03 (1).jpg", "left03 copy.jpg", "left03 - Copy.jpg", "left04.jpg", "left05.jpg", "left05.png",
-             "right03.jpg", "right04.jpg", "right05.jpg", "left.yml"]  # fmt: skip
+    copies = ["left03 (1).jpg", "left03 copy.jpg", "left03 - Copy.jpg"]
+    lefts, rights = (
+        ["left03.jpg", "left04.jpg", "left05.jpg", "left05.png"],
+        ["right03.jpg", "right04.jpg", "right05.jpg"],
+    )
+    names = [*lefts, *copies, *rights, "left.yml"]
     found, ignored = pairs_of(make(*names), "left*", "right*")
     assert [name for name, _, _ in found] == ["03", "04"]
-    assert {ignored[n] for n in ("left03 (1).jpg", "left03 copy.jpg", "left03 - Copy.jpg")} == {
-        "is a copy of left03.jpg"
-    }
+    assert {ignored[n] for n in copies} == {"is a copy of left03.jpg"}
     assert "left05.png" in ignored["left05.jpg"] and "2 pictures" in ignored["right05.jpg"]
     assert "not a picture" in ignored["left.yml"]
 
@@ -102,17 +104,17 @@ def test_lists_of_paths_are_taken_as_they_are(make):
 )
 def test_nothing_is_paired_by_position(make, names):
     folder = make(*names)
-    with pytest.raises(DataError, match="share no name or number"):
+    with pytest.raises(DataError, match=r"share no name or number"):
         list_pairs([folder / n for n in names[:2]], [folder / n for n in names[2:]])
 
 
 def test_the_same_pictures_twice_are_refused(make):
     folder = make("left1.png", "left2.png")
-    with pytest.raises(DataError, match="left and right are the same pictures"):
+    with pytest.raises(DataError, match=r"left and right are the same pictures"):
         list_pairs(str(folder / "left*"), str(folder / "left*"))
     for number in "12":
         (folder / f"right{number}.png").write_text(f"left{number}.png")  # same bytes under another name
-    with pytest.raises(DataError, match="left and right are the same pictures"):
+    with pytest.raises(DataError, match=r"left and right are the same pictures"):
         list_pairs(str(folder / "left*"), str(folder / "right*"))
 
 
@@ -127,10 +129,10 @@ def test_empty_places_say_what_is_there(make):
     folder = make("img1.png", "img2.png", "sub/x.txt")
     with pytest.raises(DataError, match=r"nothing matches .*left\*.*holds 3 entries such as img1.png"):
         list_pairs(str(folder / "left*"), str(folder / "img*"))
-    with pytest.raises(DataError, match="no picture in .*sub"):
+    with pytest.raises(DataError, match=r"no picture in .*sub"):
         list_pairs(str(folder / "sub"), str(folder / "img*"))
     (folder / "void").mkdir()
-    with pytest.raises(DataError, match="void is empty"):
+    with pytest.raises(DataError, match=r"void is empty"):
         list_pairs(str(folder / "void"), str(folder / "img*"))
-    with pytest.raises(DataError, match="there is no nowhere in"):
+    with pytest.raises(DataError, match=r"there is no nowhere in"):
         list_pairs(str(folder / "nowhere" / "left*"), str(folder / "img*"))

@@ -66,7 +66,7 @@ def test_truncated_pictures_are_refused_and_nothing_is_printed(tmp_path, suffix,
     path = tmp_path / f"a{suffix}"
     path.write_bytes(content[: int(share * len(content))])
     for read in (read_picture, read_grey_picture):
-        with pytest.raises(FormatError, match="truncated") as caught:
+        with pytest.raises(FormatError, match=r"truncated") as caught:
             read(path)
         assert str(path) in str(caught.value) and "again" in str(caught.value)
     assert capfd.readouterr() == ("", "")
@@ -76,7 +76,7 @@ def test_a_flipped_byte_in_a_png_is_noticed(tmp_path):
     content = bytearray(encode(".png", picture()))
     content[len(content) // 2] ^= 0x10
     (tmp_path / "a.png").write_bytes(content)
-    with pytest.raises(FormatError, match="checksum"):
+    with pytest.raises(FormatError, match=r"checksum"):
         read_picture(tmp_path / "a.png")
 
 
@@ -91,15 +91,15 @@ def test_what_is_no_picture_says_so(tmp_path, content, reason):
 
 
 def test_missing_files_and_folders(tmp_path):
-    with pytest.raises(FormatError, match="no such file"):
+    with pytest.raises(FormatError, match=r"no such file"):
         read_picture(tmp_path / "nothing.png")
-    with pytest.raises(FormatError, match="is a folder"):
+    with pytest.raises(FormatError, match=r"is a folder"):
         read_picture(tmp_path)
 
 
 def test_floating_point_pixels_are_named(tmp_path):
     cv2.imwrite(str(tmp_path / "a.tif"), np.zeros((20, 20), np.float32))
-    with pytest.raises(FormatError, match="float32 pixels.*8- and 16-bit"):
+    with pytest.raises(FormatError, match=r"float32 pixels.*8- and 16-bit"):
         read_picture(tmp_path / "a.tif")
 
 
@@ -114,7 +114,7 @@ def test_the_callers_log_level_comes_back(tmp_path):
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((4, 4, 2), np.uint8), np.zeros((0, 4), np.uint8)])
 def test_grey_of_what_is_no_picture(image):
-    with pytest.raises(ValueError, match="a picture is"):
+    with pytest.raises(ValueError, match=r"a picture is"):
         to_grey(image)
 
 

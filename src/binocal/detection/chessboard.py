@@ -220,7 +220,7 @@ def _are_squares_patterned(
 
 
 def _are_faint(smooth: ndarray, points: Float[ndarray, "n 2"], spacing: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
-    """Which points do not look like the others: no X-corner, or one with a third of their contrast; covered, most likely.
+    """Which points do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
 
     Says nothing (all False) where most points fail: a picture too blurred for rings of this size is not covered
     everywhere.
