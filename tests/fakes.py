@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binocal.geometry import SE3
-from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.result import Covariance, Evidence, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 from rigs import make_detections, make_poses, make_rig
 
 
@@ -49,12 +48,6 @@ class RenderedPicture:
     corners_px: np.ndarray
 
 
-@dataclass(frozen=True)
-class BoardPoses:
-    T_left_board: SE3
-    is_found: np.ndarray
-
-
 class Rooms:
     """The fake rooms; a test changes a function to make its own weather."""
 
@@ -75,9 +68,7 @@ class Rooms:
                 "RenderOptions": RenderOptions,
                 "render_picture": self._render_picture,
             },
-            "binocal.solvers": {},
             "binocal.solvers.covariance": {"cramer_rao_bound": self._bound},
-            "binocal.solvers.poses": {"estimate_board_poses": self._estimate_board_poses},
             "binocal.benchmark": {"run": self._bench},
         }
         for name, content in rooms.items():
@@ -106,9 +97,15 @@ class Rooms:
         sigma = np.r_[np.full(10, 0.05), np.full(3, 1e-5), np.full(3, 2e-6)]
         views = tuple(ViewResult(name, 0.1, 0.1, 0.1, 176) for name in detections.names)
         return StereoCalibration(
-            self.rig, Covariance(names, np.diag(sigma**2)), ResidualSummary(0.11, 0.12, 0.115), 0.08, views,
-            warnings=("left and right look exchanged; swap --left and --right.",), provenance={"iterations": 5},
-        )  # fmt: skip
+            rig=self.rig,
+            covariance=Covariance(names, np.diag(sigma**2)),
+            rms=ResidualSummary(0.11, 0.12, 0.115),
+            noise_px=0.08,
+            views=views,
+            evidence=Evidence(detections, self.poses),
+            warnings=("left and right look exchanged; swap --left and --right.",),
+            provenance={"iterations": 5},
+        )
 
     def _bound(
         self, rig, object_points_m, T_left_board, noise_px, *, left_is_seen=None, right_is_seen=None, skew=False
@@ -117,9 +114,6 @@ class Rooms:
         return replace(
             self._calibrate(self.detections, calibrator="", model="", skew=skew, seed=0, progress=None)
         ).covariance
-
-    def _estimate_board_poses(self, rig, detections):
-        return BoardPoses(self.poses, np.isfinite(detections.left_px[..., 0]).sum(axis=1) >= 4)
 
     def _render_picture(self, camera, T_camera_board, board, options, rng):
         noise = rng.integers(0, 255, camera.size_wh[::-1], dtype=np.uint8)

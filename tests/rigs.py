@@ -9,7 +9,15 @@ from binocal import boards
 from binocal.cameras import Camera, StereoRig
 from binocal.detections import Detections
 from binocal.geometry import SE3, so3
-from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.result import (
+    Covariance,
+    Evidence,
+    OutlierCorner,
+    RejectedView,
+    ResidualSummary,
+    StereoCalibration,
+    ViewResult,
+)
 
 DISTORTION = {
     "brown4": [-0.12, 0.05, 4e-4, -3e-4],
@@ -52,6 +60,13 @@ def make_detections(rig: StereoRig, T_left_board: SE3, *, noise_px: float = 0.0,
 
 def make_calibration(rig: StereoRig | None = None) -> StereoCalibration:
     rig = rig or make_rig()
+    poses = make_poses(1, np.random.default_rng(0))
+    corners = make_detections(make_rig(), poses)
+    left_px = corners.left_px.copy()
+    left_px[0, 5] = np.nan
+    detections = Detections(
+        corners.object_points_m, left_px, corners.right_px, rig.left.size_wh, rig.right.size_wh, ("01",), rig.is_metric
+    )
     names = ("left.fx", "rotation.x", "translation.x")
     return StereoCalibration(
         rig=rig,
@@ -59,6 +74,7 @@ def make_calibration(rig: StereoRig | None = None) -> StereoCalibration:
         rms=ResidualSummary(0.1, 0.2, 0.15),
         noise_px=0.08,
         views=(ViewResult("01", 0.1, 0.1, float("nan"), 88, (OutlierCorner("left", 4, 7.5),), "turned by 180 deg"),),
+        evidence=Evidence(detections, poses),
         rejected=(RejectedView("02", "no board found in the left picture"),),
         warnings=("left and right look exchanged",),
         n_iterations=7,

@@ -123,9 +123,9 @@ def test_pictures_are_judged_without_truth(rooms):
 
 
 def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(rooms):
-    left = rooms.detections.left_px.copy()
-    left[1] = np.nan
-    rooms.detections = replace(rooms.detections, left_px=left)
+    left, right = rooms.detections.left_px.copy(), rooms.detections.right_px.copy()
+    left[1], right[1] = np.nan, np.nan
+    rooms.detections = replace(rooms.detections, left_px=left, right_px=right)
     evaluation = app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
     assert np.isnan(evaluation.pixel_error.view_rms_px).tolist() == [False, True] + 4 * [False]
     assert evaluation.pixel_error.n_corners == 5 * 2 * 88 and evaluation.length_error.n_views == 5

@@ -371,16 +371,12 @@ def _explained(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedVi
 def _evaluate_detections(
     rig: StereoRig, detections: Detections, side_m: float, found: _Found, notes: list[str]
 ) -> PictureEvaluation:
-    from binocal.solvers.poses import estimate_board_poses
+    from binocal.metrics.order import order_corners
 
-    poses = estimate_board_poses(rig, detections)
-    has_pose = poses.is_found[:, None, None]
-    posed = replace(
-        detections,
-        left_px=np.where(has_pose, detections.left_px, np.nan),
-        right_px=np.where(has_pose, detections.right_px, np.nan),
-    )
-    pixel_error = image.pixel_error(rig, posed, poses.T_left_board)
+    ordered = order_corners(rig, detections)
+    detections = ordered.detections
+    notes += ordered.notes
+    pixel_error = image.pixel_error(rig, detections, ordered.T_left_board)
     usual_px = float(np.nanmedian(pixel_error.view_rms_px))
     for name, rms_px in zip(detections.names, pixel_error.view_rms_px, strict=True):
         if rms_px > SUSPECT_VIEW_FACTOR * usual_px:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 class Detections:
     """Corners of ``n_views`` views of one board of n points in two cameras.
 
-    NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points are metres.
+    NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points
+    are metres.
     """
 
     object_points_m: Float[ndarray, "n 3"]
@@ -39,7 +40,12 @@ class Detections:
         points, left, right = arrays.values()
         if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
             raise ValueError(f"object_points_m must be finite (n, 3); got {points.shape}")
-        if left.ndim != 3 or right.ndim != 3 or left.shape[1:] != (len(points), 2) or right.shape[1:] != (len(points), 2):
+        if (
+            left.ndim != 3
+            or right.ndim != 3
+            or left.shape[1:] != (len(points), 2)
+            or right.shape[1:] != (len(points), 2)
+        ):
             raise ValueError(
                 f"corners must be (views, {len(points)}, 2), one row per object point; got left {left.shape}, right {right.shape}"
             )
@@ -82,12 +88,19 @@ class Detections:
             DataError: The numbers cannot be corners, or left and right differ in their number of views.
         """
         left_size = (int(image_size_wh[0]), int(image_size_wh[1]))
-        right_size = left_size if right_image_size_wh is None else (int(right_image_size_wh[0]), int(right_image_size_wh[1]))
+        right_size = (
+            left_size if right_image_size_wh is None else (int(right_image_size_wh[0]), int(right_image_size_wh[1]))
+        )
         n_views = len(left_px)
         width = len(str(max(n_views - 1, 0)))
         return Detections(
-            object_points_m, left_px, right_px, left_size, right_size,
-            tuple(names) if names is not None else tuple(f"{i:0{width}d}" for i in range(n_views)), is_metric,
+            object_points_m,
+            left_px,
+            right_px,
+            left_size,
+            right_size,
+            tuple(names) if names is not None else tuple(f"{i:0{width}d}" for i in range(n_views)),
+            is_metric,
         )
 
     @property

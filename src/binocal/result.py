@@ -11,8 +11,7 @@ from numpy import ndarray
 
 from binocal.cameras import StereoRig
 from binocal.detections import Detections
-from binocal.geometry import SE3
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -22,8 +21,9 @@ if TYPE_CHECKING:
 class Covariance:
     """Covariance of the rig's estimated parameters, by name.
 
-    Names: ``left.fx`` … ``left.k1`` …, ``right.…``, ``rotation.x/y/z`` (a small rotation vector in radians that multiplies
-    ``R`` from the left, so it lives in the right camera's frame), ``translation.x/y/z`` (metres, or board pitches without a scale).
+    Names: ``left.fx`` … ``left.k1`` …, ``right.…``, ``rotation.x/y/z`` (a small rotation vector in radians that
+    multiplies ``R`` from the left, so it lives in the right camera's frame), ``translation.x/y/z`` (metres, or board
+    pitches without a scale).
     """
 
     names: tuple[str, ...]
@@ -52,7 +52,10 @@ class Covariance:
 
 @dataclass(frozen=True, slots=True)
 class ResidualSummary:
-    """RMS distance, pixels, between measured and predicted corners (OpenCV's convention: per corner, not per coordinate)."""
+    """RMS distance, pixels, between measured and predicted corners (OpenCV's convention.
+
+    Per corner, not per coordinate).
+    """
 
     left_px: float
     right_px: float
@@ -61,7 +64,10 @@ class ResidualSummary:
 
 @dataclass(frozen=True, slots=True)
 class OutlierCorner:
-    """A corner that the solver gave no weight: which camera (``left`` or ``right``), its index on the board, its distance from the fit."""
+    """A corner that the solver gave no weight.
+
+    Which camera (``left`` or ``right``), its index on the board, its distance from the fit.
+    """
 
     camera: str
     corner: int
@@ -70,7 +76,9 @@ class OutlierCorner:
 
 @dataclass(frozen=True, slots=True)
 class ViewResult:
-    """A view that was used. ``outliers`` among its ``n_corners`` corners (both cameras) were rejected; RMS is over the others.
+    """A view that was used. ``outliers`` among its ``n_corners`` corners (both cameras) were rejected.
+
+    RMS is over the others.
 
     ``note`` says what was repaired, if anything. An RMS is NaN where the camera did not see the board.
     """
@@ -98,10 +106,22 @@ class RejectedView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a rig was computed from.
+
+    The used views with repaired corner orders, and the board's pose in each of them.
+    """
+
+    detections: Detections
+    T_left_board: SE3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StereoCalibration:
     """The result of every calibrator.
 
-    ``warnings`` are sentences for the user, the gravest first. ``provenance`` holds versions, calibrator, options, model choice.
+    ``warnings`` are sentences for the user, the gravest first. ``provenance`` holds versions, calibrator, options,
+    model choice.
     """
 
     rig: StereoRig
@@ -110,14 +130,12 @@ class StereoCalibration:
     noise_px: float
     """Estimated standard deviation of one corner coordinate, pixels."""
     views: tuple[ViewResult, ...]
-    detections: Detections
-    """The views that were used, in the order of ``views``, corner orders repaired."""
-    T_left_board: SE3
-    """Pose of the board in each used view."""
     rejected: tuple[RejectedView, ...] = ()
     warnings: tuple[str, ...] = ()
     n_iterations: int = 0
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    evidence: Evidence | None = None
+    """The corners that the rig was computed from; None when it was read from a file, which does not hold them."""
 
     @property
     def euler_sigma_rad(self) -> tuple[float, float, float]:

@@ -39,8 +39,18 @@ def test_the_other_kinds():
 
 @pytest.mark.parametrize(
     "spec",
-    ["", "chess", "chessboard:9", "chessboard:9x6:-3mm", "chessboard:9x6:3ft", "chessboard:1x6:3mm", "charuco:5x5:30mm",
-     "charuco:5x5:30mm:40mm:DICT_4X4_50", "charuco:5x5:30mm:20:DICT_4X4_50", "chessboard:9x6:30mm:4"],
+    [
+        "",
+        "chess",
+        "chessboard:9",
+        "chessboard:9x6:-3mm",
+        "chessboard:9x6:3ft",
+        "chessboard:1x6:3mm",
+        "charuco:5x5:30mm",
+        "charuco:5x5:30mm:40mm:DICT_4X4_50",
+        "charuco:5x5:30mm:20:DICT_4X4_50",
+        "chessboard:9x6:30mm:4",
+    ],
 )
 def test_a_bad_spec_is_refused(spec):
     with pytest.raises(ValueError, match=r"."):

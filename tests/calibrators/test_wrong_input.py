@@ -71,7 +71,8 @@ def test_five_percent_of_the_corners_off(clean, distance_px):
     moved = {
         (side, view, int(corner))
         for side, before, after in (
-            ("left", detections.left_px, spoiled.left_px), ("right", detections.right_px, spoiled.right_px)
+            ("left", detections.left_px, spoiled.left_px),
+            ("right", detections.right_px, spoiled.right_px),
         )
         for view, name in enumerate(detections.names)
         for corner in np.nonzero(np.abs(after[view] - before[view]).max(axis=1) > 0)[0]
@@ -110,9 +111,7 @@ def test_swapped_cameras_are_said_and_calibrated(clean):
     calibration = calibrate(wrong.swap_cameras(detections))
     assert "exchange" in said(calibration) and "--left" in said(calibration)
     T = calibration.rig.T_right_left.inverse()
-    assert np.abs(T.t - reference.rig.T_right_left.t).max() < 2 * max(
-        bound.sigma[f"translation.{a}"] for a in "xyz"
-    )
+    assert np.abs(T.t - reference.rig.T_right_left.t).max() < 2 * max(bound.sigma[f"translation.{a}"] for a in "xyz")
 
 
 REFUSED = {
@@ -159,9 +158,7 @@ def test_nan_corners_are_corners_not_seen(clean):
     detections, reference, bound = clean
     left = detections.left_px.copy()
     left[:, ::5] = np.nan
-    calibration = calibrate(
-        Detections.from_arrays(detections.object_points_m, left, detections.right_px, (1280, 960))
-    )
+    calibration = calibrate(Detections.from_arrays(detections.object_points_m, left, detections.right_px, (1280, 960)))
     assert_right(calibration, reference, bound, factor=1.5)
     left[3, 5, 0] = 4.0
     with pytest.raises(DataError, match=r"left view 03, corner 5: one coordinate is NaN"):
@@ -171,6 +168,4 @@ def test_nan_corners_are_corners_not_seen(clean):
 def test_twenty_left_against_nineteen_right(clean):
     detections, _, _ = clean
     with pytest.raises(DataError, match="20 left views against 19 right views"):
-        Detections.from_arrays(
-            detections.object_points_m, detections.left_px, detections.right_px[:19], (1280, 960)
-        )
+        Detections.from_arrays(detections.object_points_m, detections.left_px, detections.right_px[:19], (1280, 960))

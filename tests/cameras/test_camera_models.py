@@ -57,9 +57,7 @@ def test_unproject_inverts_project(name):
 def test_projection_equals_opencv(name):
     camera, points = make_camera(name, skew=0.0), sample_points()
     if name == "fisheye4":
-        expected, _ = cv2.fisheye.projectPoints(
-            points[:, None], np.zeros(3), np.zeros(3), camera.K, camera.distortion
-        )
+        expected, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), camera.K, camera.distortion)
     else:
         expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.K, camera.distortion)
     assert np.abs(expected[:, 0] - camera.project(points)).max() < 1e-10

@@ -53,6 +53,9 @@ def test_a_calibration_comes_back_whole(tmp_path):
     assert back.views[0].outliers == calibration.views[0].outliers and back.views[0].n_outliers == 1
     assert back.rejected == calibration.rejected and back.warnings == calibration.warnings
     assert back.rms == calibration.rms and back.noise_px == calibration.noise_px and back.n_iterations == 7
+    assert back.evidence is None
+    (view,) = json.loads(path.read_text())["views"]
+    np.testing.assert_array_equal(view["T"], calibration.evidence.T_left_board.t[0])
     np.testing.assert_array_equal(back.covariance.matrix, calibration.covariance.matrix)
 
 

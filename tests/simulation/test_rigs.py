@@ -41,7 +41,8 @@ def test_random_rigs_have_a_ray_for_every_pixel_and_project_it_back(model, has_s
 
 def test_random_rig_takes_what_is_given_and_repeats_by_seed():
     first, second = (
-        random_rig(np.random.default_rng(5), "brown5", size_wh=(320, 240), baseline_m=0.2, field_deg=60) for _ in range(2)
+        random_rig(np.random.default_rng(5), "brown5", size_wh=(320, 240), baseline_m=0.2, field_deg=60)
+        for _ in range(2)
     )
     assert first.baseline_m == pytest.approx(0.2)
     assert first.left.size_wh == (320, 240)

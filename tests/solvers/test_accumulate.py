@@ -37,7 +37,8 @@ def plain_residuals(model, parameters, R, t, points, pixels):
 @pytest.mark.parametrize("kernel", ["squared", "cauchy", "hampel"])
 @pytest.mark.parametrize("name", list(CAMERA_MODELS))
 def test_gram_equals_the_plain_formula(name, kernel):
-    # central differences, step 1e-6 of the value (1e-4 for distortion): measured agreement 1e-7 of the entries' size, bound 2e-6
+    # central differences, step 1e-6 of the value (1e-4 for distortion): measured agreement 1e-7 of the entries' size,
+    # bound 2e-6
     model, parameters, R, t, points, pixels, is_seen = make_views(name)
     scale = 60.0
     result = accumulate(model, parameters, R, t, points, pixels, is_seen, np.asarray(scale), kernel)
@@ -74,14 +75,28 @@ def test_a_batch_of_rigs_equals_its_members():
     stacked = np.stack([parameters, parameters * 1.01])
     shape = (2, 3)
     batch = accumulate(
-        model, stacked, R.reshape(*shape, 3, 3), t.reshape(*shape, 3), points,
-        pixels.reshape(*shape, *pixels.shape[1:]), is_seen.reshape(*shape, -1), np.array([1.0, 2.0]), "hampel",
+        model,
+        stacked,
+        R.reshape(*shape, 3, 3),
+        t.reshape(*shape, 3),
+        points,
+        pixels.reshape(*shape, *pixels.shape[1:]),
+        is_seen.reshape(*shape, -1),
+        np.array([1.0, 2.0]),
+        "hampel",
     )
     for rig in range(2):
         views = slice(3 * rig, 3 * rig + 3)
         single = accumulate(
-            model, stacked[rig], R[views], t[views], points, pixels[views], is_seen[views],
-            np.asarray([1.0, 2.0][rig]), "hampel",
+            model,
+            stacked[rig],
+            R[views],
+            t[views],
+            points,
+            pixels[views],
+            is_seen[views],
+            np.asarray([1.0, 2.0][rig]),
+            "hampel",
         )
         assert np.allclose(batch.gram[rig], single.gram, rtol=1e-12)
         assert np.array_equal(batch.cost_px2[rig], single.cost_px2)

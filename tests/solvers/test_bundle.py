@@ -1,4 +1,7 @@
-"""The joint solve: exact input gives the truth, noise lands on the Cramér-Rao bound, outliers do not matter, bad starts do not hang."""
+"""The joint solve: exact input gives the truth, noise lands on the Cramér-Rao bound, outliers do not matter.
+
+Bad starts do not hang.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +25,9 @@ def make_problem(rig, detections, skew=False):
     model = camera_model(rig.left.model)
     return BundleProblem(
         np.ascontiguousarray(detections.object_points_m.T),
-        tuple(CameraObservations.from_corners(model, px, skew=skew) for px in (detections.left_px, detections.right_px)),
+        tuple(
+            CameraObservations.from_corners(model, px, skew=skew) for px in (detections.left_px, detections.right_px)
+        ),
     )
 
 
@@ -101,8 +106,12 @@ def test_errors_sit_on_the_bound_and_are_covered(missing):
         problem = make_problem(rig, detections)
         result = minimize(problem, truth_of(scene))
         bound = cramer_rao_bound(
-            rig, BOARD.object_points_m, scene.T_left_board, 0.3,
-            left_is_seen=detections.left_is_seen, right_is_seen=detections.right_is_seen,
+            rig,
+            BOARD.object_points_m,
+            scene.T_left_board,
+            0.3,
+            left_is_seen=detections.left_is_seen,
+            right_is_seen=detections.right_is_seen,
         )
         assert bound.names == shared_names(problem)
         error = errors_of(result.estimate, rig, problem)
@@ -134,7 +143,9 @@ def test_ten_percent_outliers_cost_nothing(distance_px):
     for detections in (clean, dirty):
         problem = make_problem(rig, detections)
         difference.append(errors_of(solve(problem, start).estimate, rig, problem) / sigma)
-    assert np.abs(difference[1] - difference[0]).max() < 1.5  # losing 10 % of the corners moves the optimum by 0.33 sigma
+    assert (
+        np.abs(difference[1] - difference[0]).max() < 1.5
+    )  # losing 10 % of the corners moves the optimum by 0.33 sigma
     assert np.abs(difference[1]).max() < 4
 
 
@@ -158,8 +169,10 @@ def test_a_batch_is_solved_as_its_members_are():
     )
     start = BundleEstimate(
         tuple(np.stack([s.parameters[c] for s in starts]) for c in range(2)),
-        *(np.stack([getattr(s, name) for s in starts]) for name in
-          ("R_left_board", "t_left_board", "R_right_left", "t_right_left")),
+        *(
+            np.stack([getattr(s, name) for s in starts])
+            for name in ("R_left_board", "t_left_board", "R_right_left", "t_right_left")
+        ),
     )
     batch = minimize(BundleProblem(problems[0].object_points, cameras), start)
     assert batch.is_converged.all()
@@ -173,7 +186,9 @@ def test_fronto_parallel_views_have_no_covariance():
     rig = table2_rig()
     poses = fronto_parallel(rig, BOARD, 5, rng)
     with pytest.raises(DegenerateGeometryError, match="undetermined"):
-        cramer_rao_bound(rig, BOARD.object_points_m, SE3(np.repeat(poses.R[:1], 5, 0), np.repeat(poses.t[:1], 5, 0)), 0.2)
+        cramer_rao_bound(
+            rig, BOARD.object_points_m, SE3(np.repeat(poses.R[:1], 5, 0), np.repeat(poses.t[:1], 5, 0)), 0.2
+        )
 
 
 def test_a_hopeless_start_ends_without_a_claim():

@@ -1,7 +1,7 @@
 """Corners to rig: binocal's ``lm`` against OpenCV's mono calibrations followed by the joint stereo solve.
 
-The peer is given what it does best: exact board, all corners, five distortion coefficients, no outliers, intrinsics refined jointly
-(``CALIB_USE_INTRINSIC_GUESS``). binocal does more in its time: robust loss, view checks, covariance.
+The peer is given what it does best: exact board, all corners, five distortion coefficients, no outliers, intrinsics
+refined jointly (``CALIB_USE_INTRINSIC_GUESS``). binocal does more in its time: robust loss, view checks, covariance.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ def _run_opencv(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]:
     start = time.perf_counter()
     _, K_l, d_l, _, _ = cv2.calibrateCamera(points, left, size, None, None)
     _, K_r, d_r, _, _ = cv2.calibrateCamera(points, right, size, None, None)
-    result = cv2.stereoCalibrate(
-        points, left, right, K_l, d_l, K_r, d_r, size, flags=cv2.CALIB_USE_INTRINSIC_GUESS
-    )
+    result = cv2.stereoCalibrate(points, left, right, K_l, d_l, K_r, d_r, size, flags=cv2.CALIB_USE_INTRINSIC_GUESS)
     return time.perf_counter() - start, result[5], result[6].ravel()
 
 
@@ -53,8 +51,13 @@ def _run_binocal(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]
     return elapsed_s, calibration.rig.T_right_left.R, calibration.rig.T_right_left.t
 
 
-def run_solver_benchmark(*, pairs: tuple[int, ...] = (20, 50, 100, 200), rounds: int = 5, seed: int = 0) -> dict[str, Any]:
-    """Time both in turn, ``rounds`` times per number of pairs after one warm-up round; medians, spread, errors against the truth."""
+def run_solver_benchmark(
+    *, pairs: tuple[int, ...] = (20, 50, 100, 200), rounds: int = 5, seed: int = 0
+) -> dict[str, Any]:
+    """Time both in turn, ``rounds`` times per number of pairs after one warm-up round.
+
+    Medians, spread, errors against the truth.
+    """
     import cv2
 
     rows = []
@@ -75,19 +78,21 @@ def run_solver_benchmark(*, pairs: tuple[int, ...] = (20, 50, 100, 200), rounds:
         row: dict[str, Any] = {"pairs": n_views}
         for name, seconds in times.items():
             if seconds:
-                row[f"{name}_s"] = {
-                    "median": float(np.median(seconds)), "min": min(seconds), "max": max(seconds)
-                }
+                row[f"{name}_s"] = {"median": float(np.median(seconds)), "min": min(seconds), "max": max(seconds)}
                 rotation_deg, translation_mm = np.median(np.array(errors[name]), axis=0)
                 row[f"{name}_rotation_error_deg"] = float(rotation_deg)
                 row[f"{name}_translation_error_mm"] = float(translation_mm)
         if times["opencv"]:
             ratios = np.array(times["opencv"]) / np.array(times["binocal"])
             row["opencv_over_binocal"] = {
-                "median": float(np.median(ratios)), "min": float(ratios.min()), "max": float(ratios.max())
+                "median": float(np.median(ratios)),
+                "min": float(ratios.min()),
+                "max": float(ratios.max()),
             }
         rows.append(row)
-    machine = f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}, OpenCV {cv2.__version__}"
+    machine = (
+        f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}, OpenCV {cv2.__version__}"
+    )
     return {
         "benchmark": "solver",
         "board": BOARD,

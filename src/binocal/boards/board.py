@@ -24,8 +24,9 @@ class Board:
 
     ``columns`` and ``rows`` count what the field counts for the kind: inner corners (chessboard), squares (charuco),
     tags (aprilgrid), circles (circles), circles per row and rows (acircles, OpenCV's staggered layout).
-    ``pitch_m`` is the square's side, the tag's side (aprilgrid), the spacing of circles, or half the spacing within a row
-    (acircles), in metres; 1 and ``is_metric`` False when the specification gave no unit: lengths are then in pitches.
+    ``pitch_m`` is the square's side, the tag's side (aprilgrid), the spacing of circles, or half the spacing within a
+    row (acircles), in metres; 1 and ``is_metric`` False when the specification gave no unit: lengths are then in
+    pitches.
     """
 
     kind: BoardKind
@@ -76,7 +77,7 @@ class Board:
 
     @property
     def tag_ids(self) -> Int[ndarray, "tags"]:
-        """AprilGrid: ids of the tags in the order of the points (four points per tag), top row first; empty for other kinds.
+        """AprilGrid: ids of the tags in the order of the points, top row first; empty for other kinds.
 
         As Kalibr prints them: ids grow to the right and UPWARD from the bottom-left tag (its y axis points up).
         """
@@ -88,8 +89,9 @@ class Board:
     def object_points_m(self) -> Float[ndarray, "n 3"]:
         """The points in the board frame, metres (pitches if not metric), in the board's own order.
 
-        chessboard, circles: row by row from (0, 0). charuco: inner corners row by row, the first at (1, 1) pitch, so that the
-        board's outer corner is the origin. acircles: OpenCV's order, x = (2 column + row mod 2) pitch, y = row pitch.
+        chessboard, circles: row by row from (0, 0). charuco: inner corners row by row, the first at (1, 1) pitch, so
+        that the board's outer corner is the origin. acircles: OpenCV's order, x = (2 column + row mod 2) pitch, y = row
+        pitch.
         aprilgrid: tag by tag, row by row from the top-left tag, each tag's corners top-left, top-right, bottom-right,
         bottom-left (of the tag as printed).
         """

@@ -21,7 +21,9 @@ def parse_length(text: str) -> tuple[float, bool]:
     """Metres and True, or the bare number and False where no unit (mm, cm, m, in) is given."""
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(mm|cm|m|in)?\s*", text)
     if not match or float(match[1]) <= 0:
-        raise ValueError(f"{text!r} is not a length; write a positive number with its unit (mm, cm, m, in), such as 30mm")
+        raise ValueError(
+            f"{text!r} is not a length; write a positive number with its unit (mm, cm, m, in), such as 30mm"
+        )
     return float(match[1]) * _METRES.get(match[2] or "m", 1.0), match[2] is not None
 
 
@@ -108,7 +110,9 @@ def load_board(spec_or_path: str) -> Board:
     try:
         return parse_board(str(content["board"])) if "board" in content else _parse_kalibr_target(content)
     except (KeyError, TypeError, ValueError) as error:
-        raise FormatError(path, f"is not a board: {error if not isinstance(error, KeyError) else f'{error} is missing'}") from None
+        raise FormatError(
+            path, f"is not a board: {error if not isinstance(error, KeyError) else f'{error} is missing'}"
+        ) from None
 
 
 def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
@@ -116,8 +120,12 @@ def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
     kind = target["target_type"]
     if kind == "aprilgrid":
         return Board(
-            "aprilgrid", int(target["tagCols"]), int(target["tagRows"]), float(target["tagSize"]),
-            dictionary="tag36h11", tag_gap_ratio=float(target["tagSpacing"]),
+            "aprilgrid",
+            int(target["tagCols"]),
+            int(target["tagRows"]),
+            float(target["tagSize"]),
+            dictionary="tag36h11",
+            tag_gap_ratio=float(target["tagSpacing"]),
         )
     columns, rows = int(target["targetCols"]), int(target["targetRows"])
     if kind == "checkerboard":

@@ -21,8 +21,8 @@ def calibrate(
 ) -> StereoCalibration:
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
-    ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the one with the least error on held-out views (the
-    simplest that is not clearly worse). Skew is 0 unless ``skew``. Same input and seed, same result.
+    ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the one with the least error on held-out
+    views (the simplest that is not clearly worse). Skew is 0 unless ``skew``. Same input and seed, same result.
 
     Raises:
         ValueError: An option is unknown.

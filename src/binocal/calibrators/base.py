@@ -31,4 +31,6 @@ class Calibrator(Protocol):
         CalibrationError: No trustworthy rig follows from the detections.
     """
 
-    def __call__(self, detections: Detections, options: CalibrationOptions) -> StereoCalibration: ...
+    def __call__(self, detections: Detections, options: CalibrationOptions) -> StereoCalibration:
+        """The calibration that these detections determine."""
+        ...

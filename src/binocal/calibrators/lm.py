@@ -1,4 +1,7 @@
-"""``lm``: closed-form start, view diagnosis, joint robust Levenberg-Marquardt. The classical road, without the agent."""
+"""``lm``: closed-form start, view diagnosis, joint robust Levenberg-Marquardt.
+
+The classical road, without the agent.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,9 @@ from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
-MIN_VIEW_INLIER_SHARE = 0.5  # a view most of whose corners in one camera contradict the rest is not an observation of this board
+MIN_VIEW_INLIER_SHARE = (
+    0.5  # a view most of whose corners in one camera contradict the rest is not an observation of this board
+)
 
 
 def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
@@ -81,9 +86,9 @@ def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
 def _solve(problem: BundleProblem, start: BundleEstimate) -> tuple[Minimum, int]:
     """The robust optimum, and the iterations it took.
 
-    The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails, Cauchy's kernel,
-    which never lets go of a corner, starts it a second time, and the lower robust cost wins: falling cost alone does not prove the
-    right minimum.
+    The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails,
+    Cauchy's kernel, which never lets go of a corner, starts it a second time, and the lower robust cost wins: falling
+    cost alone does not prove the right minimum.
     """
     best = minimize(problem, start, LoopOptions())
     n_iterations = int(best.n_iterations)
@@ -103,9 +108,7 @@ def _is_better(problem: BundleProblem, a: Minimum, b: Minimum) -> bool:
     if bool(a.is_converged) != bool(b.is_converged):
         return bool(a.is_converged)
     scale = np.minimum(a.scale_px, b.scale_px)
-    costs = [
-        sum(float(robust.costs(e.r2_px2, scale, "hampel").sum()) for e in m.equations.cameras) for m in (a, b)
-    ]
+    costs = [sum(float(robust.costs(e.r2_px2, scale, "hampel").sum()) for e in m.equations.cameras) for m in (a, b)]
     return costs[0] < costs[1]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from binocal.cameras import CAMERA_MODELS, StereoRig
 from binocal.detections import Detections
 from binocal.errors import CalibrationError, DataError
 from binocal.geometry import SE3
-from binocal.result import StereoCalibration
+from binocal.result import Evidence, StereoCalibration
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.poses import estimate_board_poses
@@ -26,12 +27,14 @@ N_FOLDS = 4
 MIN_VIEWS_FOR_CHOICE = 2 * MIN_VIEWS  # below that the training folds would be degenerate
 FOLD_OPTIONS = LoopOptions(tolerance_sigma=0.1)  # the models differ by far more than a tenth of a standard deviation
 RESIDUAL_CAP_SIGMA = 5.0  # a wild corner must not choose the model
-FALLBACK_MODEL = "brown4"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelTrial:
-    """One model's fit: its calibration, or why there is none, and the held-out mean squared residual of each view (NaN: not tested)."""
+    """One model's fit: its calibration, or why there is none, and the held-out mean squared residual of each view (NaN.
+
+    Not tested).
+    """
 
     model: str
     calibration: StereoCalibration | None
@@ -52,9 +55,9 @@ def calibrate_with_best_model(
 ) -> StereoCalibration:
     """Calibrate with every camera model and keep the one that predicts held-out views best.
 
-    The simplest model is kept whose held-out error is within one standard error (paired over the views) of the best one's.
-    The reason is written to the provenance under ``model_choice``. With fewer than six usable views nothing can be held out and
-    the model is ``brown4``, which is then said in a warning.
+    The simplest model is kept whose held-out error is within one standard error (paired over the views) of the best
+    one's. The reason is written to the provenance under ``model_choice``. With fewer than six usable views nothing can
+    be held out; the Bayesian information criterion decides then, which is said in a warning.
 
     Raises:
         CalibrationError: No model gives a trustworthy rig; the error of the simplest is raised.
@@ -70,11 +73,14 @@ def calibrate_with_best_model(
         except (CalibrationError, DataError) as error:
             failures[name] = error
     if not fits:
-        raise failures[FALLBACK_MODEL]
-    good = _views_to_hold_out(fits)
+        raise failures[names[0]]
+    evidence = {name: fit.evidence for name, fit in fits.items() if fit.evidence is not None}
+    good = _views_to_hold_out(evidence.values()) if evidence else ()
     if len(good) < MIN_VIEWS_FOR_CHOICE:
-        name = FALLBACK_MODEL if FALLBACK_MODEL in fits else next(iter(fits))
-        reason = f"{len(good)} usable views are too few to hold some out; {name} taken without comparison"
+        name = min(fits, key=lambda name: information_criterion(fits[name]))
+        reason = (
+            f"{len(good)} usable views are too few to hold some out; {name} taken by the Bayesian information criterion"
+        )
         return _with_choice(fits[name], name, reason, [], warn=True)
 
     noise_px = min(c.noise_px for c in fits.values())
@@ -82,10 +88,12 @@ def calibrate_with_best_model(
     for done, name in enumerate(names):
         if progress:
             progress("camera models", len(names) + done, 2 * len(names))
-        if name in fits:
-            trials.append(_hold_out(good, replace(options, model=name), fits[name], noise_px))
+        if name in evidence:
+            trials.append(_hold_out(good, replace(options, model=name), fits[name], evidence[name], noise_px))
         else:
-            trials.append(ModelTrial(name, None, str(failures[name]), np.full(len(good), np.nan)))
+            trials.append(
+                ModelTrial(name, None, str(failures.get(name, "no corners to hold out")), np.full(len(good), np.nan))
+            )
     if progress:
         progress("camera models", 2 * len(names), 2 * len(names))
     chosen, reason = choose_model(trials)
@@ -122,30 +130,32 @@ def choose_model(trials: list[ModelTrial]) -> tuple[ModelTrial, str]:
     return chosen, reason + (f"; {', '.join(failed)} could not be fitted" if failed else "")
 
 
-def _views_to_hold_out(fits: dict[str, StereoCalibration]) -> tuple[str, ...]:
+def information_criterion(calibration: StereoCalibration) -> float:
+    """N ln(mean squared residual) + k ln n over the corner coordinates that were used. Source: Schwarz 1978."""
+    n = 2 * sum(v.n_corners - v.n_outliers for v in calibration.views)
+    return n * np.log(max(calibration.rms.all_px**2, 1e-20)) + len(calibration.covariance.names) * np.log(n)
+
+
+def _views_to_hold_out(evidence: Iterable[Evidence]) -> tuple[str, ...]:
     """Names of the views that every fitted model used and both cameras saw."""
-    used = [
-        {
-            name
-            for name, left, right in zip(
-                c.detections.names, c.detections.left_is_seen.any(axis=1), c.detections.right_is_seen.any(axis=1), strict=True
-            )
-            if left and right
-        }
-        for c in fits.values()
-    ]
-    common = set.intersection(*used)
-    return tuple(name for name in next(iter(fits.values())).detections.names if name in common)
+    used = []
+    for detections in (e.detections for e in evidence):
+        both = detections.left_is_seen.any(axis=1) & detections.right_is_seen.any(axis=1)
+        used.append([name for name, is_seen in zip(detections.names, both, strict=True) if is_seen])
+    common = set(used[0]).intersection(*used)
+    return tuple(name for name in used[0] if name in common)
 
 
 def _hold_out(
-    good: tuple[str, ...], options: CalibrationOptions, full: StereoCalibration, noise_px: float
+    good: tuple[str, ...], options: CalibrationOptions, full: StereoCalibration, evidence: Evidence, noise_px: float
 ) -> ModelTrial:
     """Cross-validate one model: each fold is solved anew from the full fit, without the views it is then tested on.
 
-    The joint problem has one optimum in the basin that all calibrators end in, so the start saves time and does not leak.
+    The joint problem has one optimum in the basin that all calibrators end in, so the start saves time and does not
+    leak.
     """
-    index = np.array([full.detections.names.index(name) for name in good])
+    detections, T_left_board = evidence.detections, evidence.T_left_board
+    index = np.array([detections.names.index(name) for name in good])
     held_out = np.full(len(good), np.nan)
     folds = min(N_FOLDS, len(good) // 2)
     for fold in range(folds):
@@ -153,8 +163,7 @@ def _hold_out(
         train, test = index[~is_test], index[is_test]
         if len(train) < MIN_VIEWS:
             continue
-        views = full.detections.select(train)
-        T = full.T_left_board[train]
+        views, T = detections.select(train), T_left_board[train]
         start = BundleEstimate(
             (full.rig.left.parameters, full.rig.right.parameters),
             T.R,
@@ -166,14 +175,15 @@ def _hold_out(
         if not minimum.is_converged:
             continue
         rig = rig_of(minimum.estimate, views, options.model)
-        held_out[is_test] = held_out_px2(rig, full.detections.select(test), full.T_left_board[test], noise_px)
+        held_out[is_test] = held_out_px2(rig, detections.select(test), T_left_board[test], noise_px)
     return ModelTrial(options.model, full, "", held_out)
 
 
-def held_out_px2(
-    rig: StereoRig, detections: Detections, T_left_board: SE3, noise_px: float
-) -> Float[ndarray, "views"]:
-    """Mean squared residual length of each view with the rig held and the board pose fitted; each length capped at 5 sigma."""
+def held_out_px2(rig: StereoRig, detections: Detections, T_left_board: SE3, noise_px: float) -> Float[ndarray, "views"]:
+    """Mean squared residual length of each view with the rig held and the board pose fitted.
+
+    Each length capped at 5 sigma.
+    """
     poses = estimate_board_poses(rig, detections, T_left_board)
     r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
     cap = max((RESIDUAL_CAP_SIGMA * noise_px) ** 2, 1e-12)

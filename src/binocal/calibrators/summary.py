@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -19,6 +19,7 @@ from binocal.detections import Detections
 from binocal.geometry import SE3, so3
 from binocal.result import (
     Covariance,
+    Evidence,
     OutlierCorner,
     RejectedView,
     ResidualSummary,
@@ -85,8 +86,6 @@ def summarize(
         rms=ResidualSummary(float(left_px), float(right_px), float(all_px)),
         noise_px=noise_px,
         views=views,
-        detections=detections,
-        T_left_board=SE3(so3.project_to_rotation(minimum.estimate.R_left_board), minimum.estimate.t_left_board),
         rejected=rejected,
         warnings=(*warnings, *_outlier_warning(views)),
         n_iterations=n_iterations,
@@ -99,6 +98,9 @@ def summarize(
             "skew": options.skew,
             "seed": options.seed,
         },
+        evidence=Evidence(
+            detections, SE3(so3.project_to_rotation(minimum.estimate.R_left_board), minimum.estimate.t_left_board)
+        ),
     )
 
 

@@ -19,14 +19,23 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_NOISE_SHARE = 0.08
-"""Corner noise over corner spacing. Real pictures reach 0.02 (270x180); a wrong corner order or board leaves 0.3 and more."""
+"""Corner noise over corner spacing.
+
+Real pictures reach 0.02 (270x180); a wrong corner order or board leaves 0.3 and more.
+"""
 MAX_FOCAL_SIGMA_SHARE = 0.05
-"""Relative standard deviation of a focal length. Fronto-parallel views leave 0.07-0.6 at 0.1-0.5 px, three good views 0.001-0.004."""
+"""Relative standard deviation of a focal length.
+
+Fronto-parallel views leave 0.07-0.6 at 0.1-0.5 px, three good views 0.001-0.004.
+"""
 WARN_FOCAL_SIGMA_SHARE = 0.01
 MAX_BASELINE_SIGMA_SHARE = 0.2
 """Standard deviation of the translation over the baseline. One pose repeated leaves 0.4-3, six weak views 0.01-0.05."""
 MIN_NORMAL_SPREAD_DEG = 2.0
-"""Spread of the board's directions below which views count as parallel, unless the focal lengths are known in spite of it."""
+"""Spread of the board's directions below which views count as parallel.
+
+Unless the focal lengths are known in spite of it.
+"""
 PARALLEL_FOCAL_SIGMA_SHARE = 0.002
 MAX_OUTLIER_SHARE = 0.3  # a robust fit that drops more than this has chosen one story among several
 

@@ -1,8 +1,8 @@
 """Brown-Conrady distortion with 4, 5 or 8 coefficients, in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6.
 
 Source: Brown 1966, "Decentering distortion of lenses"; the 8-coefficient rational form is OpenCV's.
-Component-first arrays: coordinates are separate arrays of shape (..., n); ``parameters`` is (..., P) with leading dimensions
-that broadcast against theirs, in the order fx, fy, cx, cy, skew, distortion.
+Component-first arrays: coordinates are separate arrays of shape (..., n); ``parameters`` is (..., P) with leading
+dimensions that broadcast against theirs, in the order fx, fy, cx, cy, skew, distortion.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ def unproject(
 ) -> tuple[Float[ndarray, "*n"], Float[ndarray, "*n"], Float[ndarray, "*n"], Bool[ndarray, "*n"]]:
     """Rays (X, Y, Z = 1) of pixels, and where they exist.
 
-    Newton's method on the two distortion equations; a pixel is invalid where it does not converge to 1e-12 or lands beyond
-    the radius at which the radial mapping folds back (its slope is no longer positive).
+    Newton's method on the two distortion equations; a pixel is invalid where it does not converge to 1e-12 or lands
+    beyond the radius at which the radial mapping folds back (its slope is no longer positive).
     """
     fx, fy, cx, cy, skew = parameters[:5]
     d = [np.asarray(c) for c in parameters[5:]]

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A camera model with its numbers: ``parameters`` = fx, fy, cx, cy, skew (pixels), then the distortion in OpenCV's order.
+    """A camera model with its numbers.
+
+    ``parameters`` = fx, fy, cx, cy, skew (pixels), then the distortion in OpenCV's order.
 
     Axes x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel.
     """
@@ -29,7 +31,9 @@ class Camera:
         parameters = np.array(self.parameters, dtype=float)
         expected = self._functions.n_parameters
         if parameters.shape != (expected,):
-            raise ValueError(f"{self.model} has {expected} parameters (fx fy cx cy skew + distortion); got {parameters.shape}")
+            raise ValueError(
+                f"{self.model} has {expected} parameters (fx fy cx cy skew + distortion); got {parameters.shape}"
+            )
         if not np.all(np.isfinite(parameters)) or parameters[0] <= 0 or parameters[1] <= 0:
             raise ValueError(f"camera parameters must be finite with fx, fy > 0; got {parameters.tolist()}")
         width, height = (int(n) for n in self.size_wh)
@@ -74,7 +78,10 @@ class Camera:
         return self.parameters[5:].copy()
 
     def project(self, points: Float[ndarray, "*batch n 3"]) -> Float[ndarray, "*batch n 2"]:
-        """Pixels of points in the camera frame (metres, or any unit); NaN where a point is behind a camera that cannot see there."""
+        """Pixels of points in the camera frame (metres, or any unit).
+
+        NaN where a point is behind a camera that cannot see there.
+        """
         points = np.asarray(points, dtype=float)
         X, Y, Z = points[..., 0], points[..., 1], points[..., 2]
         with np.errstate(all="ignore"):

@@ -1,8 +1,8 @@
 """Kannala-Brandt fisheye: image radius is an odd polynomial of the angle from the axis, four coefficients.
 
-Source: Kannala & Brandt 2006, "A generic camera model and calibration method", eq. 6, normalised as OpenCV's ``fisheye``:
-theta_d = theta (1 + k1 theta² + k2 theta⁴ + k3 theta⁶ + k4 theta⁸). Angles beyond 90° are allowed (Z <= 0).
-Component-first arrays as in :mod:`binocal.cameras.brown_conrady`.
+Source: Kannala & Brandt 2006, "A generic camera model and calibration method", eq. 6, normalised as OpenCV's
+``fisheye``: theta_d = theta (1 + k1 theta² + k2 theta⁴ + k3 theta⁶ + k4 theta⁸). Angles beyond 90° are allowed (Z <=
+0). Component-first arrays as in :mod:`binocal.cameras.brown_conrady`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ def _direction(X: ndarray, Y: ndarray) -> tuple[ndarray, ndarray, ndarray]:
 
 
 def project(parameters: ndarray, X: ndarray, Y: ndarray, Z: ndarray) -> tuple[ndarray, ndarray]:
-    """Pixels of points in the camera frame, up to 180° from the axis. NOT checked: that the polynomial is monotone there."""
+    """Pixels of points in the camera frame, up to 180° from the axis.
+
+    NOT checked: that the polynomial is monotone there.
+    """
     fx, fy, cx, cy, skew = _split(parameters[..., :5])
     r, m, n = _direction(X, Y)
     theta = np.arctan2(r, Z)
@@ -84,7 +87,10 @@ def linearize(
 def unproject(
     parameters: Float[ndarray, "p"], u: Float[ndarray, "*n"], v: Float[ndarray, "*n"], max_iterations: int = 50
 ) -> tuple[Float[ndarray, "*n"], Float[ndarray, "*n"], Float[ndarray, "*n"], Bool[ndarray, "*n"]]:
-    """Unit rays of pixels, and where they exist: where the angle is below pi and below the polynomial's first turning point."""
+    """Unit rays of pixels, and where they exist.
+
+    Where the angle is below pi and below the polynomial's first turning point.
+    """
     fx, fy, cx, cy, skew = parameters[:5]
     k = [np.asarray(c) for c in parameters[5:]]
     yd = (v - cy) / fy

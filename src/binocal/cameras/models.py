@@ -16,8 +16,8 @@ LINEAR_NAMES = ("fx", "fy", "cx", "cy", "skew")
 class CameraModel:
     """One camera model: names of its distortion coefficients, and its functions on component-first arrays.
 
-    ``sees_behind`` tells that points with Z <= 0 can be seen (fisheye). ``prior_sigma`` is the standard deviation of a weak prior that
-    holds each radial coefficient near 0 where the corners say nothing about it; infinite: no prior.
+    ``sees_behind`` tells that points with Z <= 0 can be seen (fisheye). ``prior_sigma`` is the standard deviation of a
+    weak prior that holds each radial coefficient near 0 where the corners say nothing about it; infinite: no prior.
     """
 
     name: str
@@ -45,8 +45,8 @@ class CameraModel:
         return (0.0,) * 5 + tuple(weight if name.startswith("k") else 0.0 for name in self.distortion_names)
 
 
-# Numerator and denominator of the rational model can cancel: on an ordinary lens the coefficients run off to 10 and more for a gain
-# of 1e-3 in the cost. Published wide-angle calibrations lie within 3.
+# Numerator and denominator of the rational model can cancel: on an ordinary lens the coefficients run off to 10 and
+# more for a gain of 1e-3 in the cost. Published wide-angle calibrations lie within 3.
 RATIONAL_PRIOR_SIGMA = 3.0
 
 

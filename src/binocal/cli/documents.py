@@ -13,7 +13,8 @@ from binocal.formats import native
 def calibration_run_document(run: CalibrationRun, output: Path, max_rms_px: float | None) -> dict[str, Any]:
     """The ``rig.json`` document, and what became of the files."""
     rms_px = run.calibration.rms.all_px
-    return native.calibration_document(run.calibration) | {
+    document = native.calibration_document(run.calibration)
+    return document | {
         "output": str(output),
         "ignored": [{"path": path, "reason": reason} for path, reason in run.ignored],
         "notes": run.notes,

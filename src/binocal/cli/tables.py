@@ -67,8 +67,6 @@ def truth_text(evaluation: TruthEvaluation) -> str:
 def pictures_text(evaluation: PictureEvaluation, is_metric: bool) -> str:
     """The criteria that need no truth."""
     pixel, row, length = evaluation.pixel_error, evaluation.row_error, evaluation.length_error
-    lines = [f"note: {one_line(note)}" for note in evaluation.notes]
-    lines += [""] if lines else []
     rows = [
         (
             "pixel error (RMS, eq. 19)",
@@ -87,8 +85,8 @@ def pictures_text(evaluation: PictureEvaluation, is_metric: bool) -> str:
         ),
         ("error of a single side (RMS)", f"{length.side_rms_percent:.3f} %", f"{length.n_sides} sides"),
     ]
-    lines.append(format_table(("criterion", "", ""), rows, align="lrl"))
-    return "\n".join([*lines, *_rejected_lines(evaluation.rejected, len(evaluation.names))])
+    table = format_table(("criterion", "", ""), rows, align="lrl")
+    return "\n".join([table, *_rejected_lines(evaluation.rejected, len(evaluation.names))])
 
 
 def demo_text(cases: Sequence[DemoCase], output: Path) -> str:

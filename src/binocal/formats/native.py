@@ -61,7 +61,12 @@ def rig_document(rig: StereoRig) -> dict[str, Any]:
 
 
 def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
-    """``rig.json`` as a dictionary that holds only what JSON can say."""
+    """``rig.json`` as a dictionary that holds only what JSON can say.
+
+    ``views`` hold the board's pose in the left camera (R, T) where the calibration still knows it; the corners stay out: they would
+    make the file fifty times larger.
+    """
+    T_left_board = calibration.evidence.T_left_board if calibration.evidence else None
     return jsonable(
         rig_document(calibration.rig)
         | {
@@ -88,7 +93,8 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
                     "outliers": view.outliers,
                     "note": view.note,
                 }
-                for view in calibration.views
+                | ({} if T_left_board is None else {"R": T_left_board.R[index], "T": T_left_board.t[index]})
+                for index, view in enumerate(calibration.views)
             ],
             "rejected": [{"name": view.name, "reason": view.reason} for view in calibration.rejected],
             "warnings": calibration.warnings,
@@ -139,7 +145,7 @@ def read_rig(path: str | Path) -> StereoRig:
 
 
 def read_calibration(path: str | Path) -> StereoCalibration:
-    """The calibration of a ``rig.json``; ``null`` becomes NaN. Raises as :func:`read_rig`."""
+    """The calibration of a ``rig.json``; ``null`` becomes NaN; without evidence, which the file does not hold. Raises as :func:`read_rig`."""
     top = _load(path)
     rms = top.mapping("rms_px")
     covariance = top.mapping("covariance")
@@ -180,17 +186,11 @@ def read_truth(path: str | Path) -> Truth:
         board = parse_board(top.text("board"))
     except ValueError as error:
         raise FormatError(path, f"key 'board': {error}") from None
-    R = np.array([view.array("R", (3, 3)) for view in views]).reshape(-1, 3, 3)
-    t = np.array([view.array("T", (3,)) for view in views]).reshape(-1, 3)
-    try:
-        T_left_board = SE3(R, t)
-    except ValueError:
-        raise FormatError(path, "key 'views': an R is not a rotation matrix") from None
     return Truth(
         rig=_parse_rig(top),
         board=board,
         names=tuple(view.text("name") for view in views),
-        T_left_board=T_left_board,
+        T_left_board=_parse_poses(views),
         noise_dn=top.number("noise_dn", allow_null=True),
         blur_px=top.number("blur_px", allow_null=True),
     )
@@ -255,7 +255,7 @@ class _Node:
             raise FormatError(self.path, f"key '{self.place}{key}' is missing; expected {expected}")
         return self.value[key]
 
-    def _fail(self, key: str, expected: str) -> FormatError:
+    def fail(self, key: str, expected: str) -> FormatError:
         shown = json.dumps(self.value.get(key))
         return FormatError(self.path, f"key '{self.place}{key}': expected {expected}, got {shown[:60]}")
 
@@ -265,53 +265,55 @@ class _Node:
         if value is None and allow_null:
             return math.nan
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self._fail(key, expected)
+            raise self.fail(key, expected)
         return float(value)
 
     def integer(self, key: str) -> int:
         value = self._get(key, "a whole number")
         if isinstance(value, bool) or not isinstance(value, int):
-            raise self._fail(key, "a whole number")
+            raise self.fail(key, "a whole number")
         return value
 
     def text(self, key: str) -> str:
         value = self._get(key, "a text")
         if not isinstance(value, str):
-            raise self._fail(key, "a text")
+            raise self.fail(key, "a text")
         return value
 
     def texts(self, key: str) -> list[str]:
         value = self._get(key, "a list of texts")
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise self._fail(key, "a list of texts")
+            raise self.fail(key, "a list of texts")
         return value
 
     def mapping(self, key: str) -> _Node:
         value = self._get(key, "an object")
         if not isinstance(value, dict):
-            raise self._fail(key, "an object")
+            raise self.fail(key, "an object")
         return _Node(self.path, f"{self.place}{key}.", value)
 
     def mappings(self, key: str) -> list[_Node]:
         value = self._get(key, "a list of objects")
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            raise self._fail(key, "a list of objects")
+            raise self.fail(key, "a list of objects")
         return [_Node(self.path, f"{self.place}{key}[{i}].", item) for i, item in enumerate(value)]
 
-    def array(self, key: str, shape: tuple[int, ...] | None, *, allow_null: bool = False) -> np.ndarray:
-        words = "numbers" if shape is None else f"{'x'.join(map(str, shape))} numbers"
+    def array(self, key: str, shape: tuple[int, ...], *, allow_null: bool = False) -> np.ndarray:
+        """Numbers of that shape; -1 is any length."""
+        words = f"{'x'.join('n' if n < 0 else str(n) for n in shape)} numbers"
         value = self._get(key, words)
         if allow_null:
             value = _null_to_nan(value)
         try:
             array = np.array(value)
         except ValueError:
-            raise self._fail(key, words) from None
-        if array.size == 0 and (shape is None or 0 in shape):
-            return np.zeros(shape or 0)
+            raise self.fail(key, words) from None
+        if array.size == 0 and 0 in shape:
+            return np.zeros(shape)
         is_numeric = array.dtype.kind in "if" and (allow_null or np.all(np.isfinite(array)))
-        if not is_numeric or (array.shape != shape if shape is not None else array.ndim != 1):
-            raise self._fail(key, words)
+        has_shape = array.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
+        if not (is_numeric and has_shape):
+            raise self.fail(key, words)
         return array.astype(float)
 
 
@@ -341,7 +343,7 @@ def _load(path: str | Path) -> _Node:
 def _parse_camera(node: _Node) -> Camera:
     model = node.text("model")
     if model not in CAMERA_MODELS:
-        raise node._fail("model", f"one of {', '.join(CAMERA_MODELS)}")
+        raise node.fail("model", f"one of {', '.join(CAMERA_MODELS)}")
     size = node.array("image_size", (2,))
     linear = [node.number(key) for key in ("fx", "fy", "cx", "cy", "skew")]
     distortion = node.array("distortion", (CAMERA_MODELS[model].n_parameters - 5,))
@@ -351,14 +353,26 @@ def _parse_camera(node: _Node) -> Camera:
         raise FormatError(node.path, f"key '{node.place.rstrip('.')}': {error}") from None
 
 
+def _parse_poses(views: list[_Node]) -> SE3:
+    """T_left_board of every view."""
+    R = np.array([view.array("R", (3, 3)) for view in views]).reshape(-1, 3, 3)
+    t = np.array([view.array("T", (3,)) for view in views]).reshape(-1, 3)
+    for view, R_view in zip(views, R, strict=True):
+        try:
+            SE3(R_view, np.zeros(3))
+        except ValueError:
+            raise view.fail("R", "a rotation matrix") from None
+    return SE3(R, t)
+
+
 def _parse_rig(top: _Node) -> StereoRig:
     left, right = _parse_camera(top.mapping("left")), _parse_camera(top.mapping("right"))
     R, t = top.array("R", (3, 3)), top.array("T", (3,))
     unit = top.value.get("unit", "m")
     if unit not in UNITS.values():
-        raise top._fail("unit", '"m" or "board pitch"')
+        raise top.fail("unit", '"m" or "board pitch"')
     try:
         T_right_left = SE3(R, t)
     except ValueError:
-        raise top._fail("R", "a rotation matrix") from None
+        raise top.fail("R", "a rotation matrix") from None
     return StereoRig(left, right, T_right_left, unit == "m")

@@ -1,9 +1,10 @@
 """Homographies from a plane to many pictures at once: weighted DLT in closed form, and a robust fit over it.
 
-The normal equations of the DLT depend on the corners through 24 sums per view, so a fit costs one matrix product; eliminating the
-first two rows of H leaves a 3x3 problem, so no per-view eigendecomposition is needed. The third row is scaled to end in 1 in
-coordinates that are centred on the board: that entry is the depth of the board's centre, which is never near zero.
-Source: Hartley & Zisserman 2004, algorithm 4.2, with the algebraic error divided by the last pass's depths (Sampson weights).
+The normal equations of the DLT depend on the corners through 24 sums per view, so a fit costs one matrix product;
+eliminating the first two rows of H leaves a 3x3 problem, so no per-view eigendecomposition is needed. The third row
+is scaled to end in 1 in coordinates that are centred on the board: that entry is the depth of the board's centre,
+which is never near zero. Source: Hartley & Zisserman 2004, algorithm 4.2, with the algebraic error divided by the
+last pass's depths (Sampson weights).
 """
 
 from __future__ import annotations
@@ -60,20 +61,21 @@ def monomials(x: Float[ndarray, "*n"], y: Float[ndarray, "*n"]) -> Float[ndarray
 
 
 def plane_moments(
-    basis: Float[ndarray, "n 6"], u: Float[ndarray, "*batch n"], v: Float[ndarray, "*batch n"], w: Float[ndarray, "*batch n"]
+    basis: Float[ndarray, "n 6"],
+    u: Float[ndarray, "*batch n"],
+    v: Float[ndarray, "*batch n"],
+    w: Float[ndarray, "*batch n"],
 ) -> Float[ndarray, "*batch 4 3 3"]:
-    """Sums over the points of ``w X Xᵀ`` times 1, u, v and u² + v², with X = (x, y, 1). Weight 0 drops a point; u, v finite."""
+    """Sums over points of ``w X Xᵀ`` times 1, u, v and u² + v², X = (x, y, 1). Weight 0 drops a point; u, v finite."""
     rows = np.empty((*w.shape[:-1], 4, w.shape[-1]))
     rows[..., 0, :] = w
     wu = np.multiply(w, u, out=rows[..., 1, :])
     wv = np.multiply(w, v, out=rows[..., 2, :])
     np.multiply(wu, u, out=rows[..., 3, :])
     rows[..., 3, :] += wv * v
-    if basis.ndim == 2:
-        sums = (rows.reshape(-1, rows.shape[-1]) @ basis).reshape(*rows.shape[:-1], 6)
-    else:
-        sums = rows @ basis
-    return sums[..., _SYMMETRIC]
+    if basis.ndim > 2:  # each view has its own points
+        return (rows @ basis)[..., _SYMMETRIC]
+    return (rows.reshape(-1, rows.shape[-1]) @ basis).reshape(*rows.shape[:-1], 6)[..., _SYMMETRIC]
 
 
 def plane_spread(
@@ -91,9 +93,9 @@ def plane_spread(
 class PlaneFit:
     """Least-squares homographies in normalised coordinates, with what their covariance needs.
 
-    ``rows`` maps (x, y, 1) to (u, v, 1) times the depth. ``S_inverse``, ``P`` and ``D_inverse`` are the blocks of the inverse
-    normal matrix: rows 1 and 2 are ``P[:, :3] h3`` and ``P[:, 3:] h3``, each with noise ``S_inverse``, and the first two
-    entries of row 3 have the covariance ``D_inverse``; all for unit weights' noise.
+    ``rows`` maps (x, y, 1) to (u, v, 1) times the depth. ``S_inverse``, ``P`` and ``D_inverse`` are the blocks of the
+    inverse normal matrix: rows 1 and 2 are ``P[:, :3] h3`` and ``P[:, 3:] h3``, each with noise ``S_inverse``, and
+    the first two entries of row 3 have the covariance ``D_inverse``; all for unit weights' noise.
     """
 
     rows: Float[ndarray, "*batch 3 3"]
@@ -117,7 +119,7 @@ class PlaneFit:
 
 
 def solve_plane(moments: Float[ndarray, "*batch 4 3 3"]) -> PlaneFit:
-    """Homographies of :func:`plane_moments`. NOT checked: that the points determine one (a singular sum gives NaN or inf)."""
+    """Homographies of :func:`plane_moments`. NOT checked: that the points determine one (else NaN or inf)."""
     S, S_u, S_v, S_q = (moments[..., i, :, :] for i in range(4))
     S_inverse = _inverse3(S)
     P = S_inverse @ np.concatenate([S_u, S_v], axis=-1)
@@ -158,10 +160,13 @@ def map_plane(
 
 
 def fit_plane(
-    frame: PlaneFrame, u: Float[ndarray, "*batch n"], v: Float[ndarray, "*batch n"], w: Float[ndarray, "*batch n"],
+    frame: PlaneFrame,
+    u: Float[ndarray, "*batch n"],
+    v: Float[ndarray, "*batch n"],
+    w: Float[ndarray, "*batch n"],
     n_passes: int = 2,
 ) -> tuple[PlaneFit, Float[ndarray, "*batch n"], Float[ndarray, "*batch n"]]:
-    """Weighted least-squares fit in image coordinates of order one, and the residuals u, v; geometric from the second pass on."""
+    """Weighted least-squares fit in image coordinates of order one, and residuals u, v; geometric from pass two on."""
     weights = w
     for k in range(n_passes):
         fit = solve_plane(plane_moments(frame.basis, u, v, weights))
@@ -176,10 +181,11 @@ def fit_plane(
 class HomographyFit:
     """Robust homographies of many views.
 
-    ``H`` takes board coordinates (x, y, 1) to pixels, NaN where ``status`` is not GOOD (0); TOO_FEW, COINCIDENT, COLLINEAR and
-    UNFIT tell why. ``residuals_px`` are distances (NaN = not seen), ``weights`` in [0, 1] what the robust fit gave each corner
-    (0 = not seen), ``sigma_px`` the robust standard deviation of one coordinate; lens distortion counts as noise here.
-    ``px_per_unit``: RMS radius of the seen corners in the picture over that on the board.
+    ``H`` takes board coordinates (x, y, 1) to pixels, NaN where ``status`` is not GOOD (0); TOO_FEW, COINCIDENT,
+    COLLINEAR and UNFIT tell why. ``residuals_px`` are distances (NaN = not seen), ``weights`` in [0, 1] what the
+    robust fit gave each corner (0 = not seen), ``sigma_px`` the robust standard deviation of one coordinate; lens
+    distortion counts as noise here. ``px_per_unit``: RMS radius of the seen corners in the picture over that on the
+    board.
     """
 
     H: Float[ndarray, "views 3 3"]
@@ -200,10 +206,10 @@ def fit_homographies(
 ) -> HomographyFit:
     """Homographies board → pixels of all views; NaN pixels were not seen, object points lie in z = 0.
 
-    Views that a plain fit explains evenly are left at it. The others (a residual above 4.5 robust standard deviations, or a
-    scale 3 times the median view's) start again from the best of 96 four-corner fits (least median), and are reweighted
-    (Geman-McClure, scale = median of that view's residuals): up to 40 % of wild corners, or a wrapped row, do not spoil a view,
-    and honest lens distortion only widens the scale.
+    Views that a plain fit explains evenly are left at it. The others (a residual above 4.5 robust standard
+    deviations, or a scale 3 times the median view's) start again from the best of 96 four-corner fits (least median),
+    and are reweighted (Geman-McClure, scale = median of that view's residuals): up to 40 % of wild corners, or a
+    wrapped row, do not spoil a view, and honest lens distortion only widens the scale.
 
     Source: Rousseeuw & Leroy 1987 (least median of squares); Holland & Welsch 1977 (reweighting).
     """
@@ -283,20 +289,27 @@ def _classify(
 
 
 def _sigma(residuals: ndarray, is_seen: ndarray, n_seen: ndarray) -> Float[ndarray, "*batch"]:
-    """Robust standard deviation of one coordinate from distances: their median, corrected for the 8 fitted parameters."""
+    """Robust standard deviation of a coordinate: the median distance, corrected for the 8 fitted parameters."""
     n = residuals.shape[-1]
     if np.all(n_seen == n):
         middle = np.partition(residuals, n // 2, axis=-1)[..., n // 2]
     else:
         ordered = np.sort(np.where(is_seen, residuals, np.inf), axis=-1)
-        middle = np.take_along_axis(ordered, np.broadcast_to((n_seen // 2)[..., None], (*ordered.shape[:-1], 1)), axis=-1)[..., 0]
+        middle = np.take_along_axis(
+            ordered, np.broadcast_to((n_seen // 2)[..., None], (*ordered.shape[:-1], 1)), axis=-1
+        )[..., 0]
     return middle * _MEDIAN_TO_SIGMA * np.sqrt(2 * n_seen / np.maximum(2 * n_seen - 8, 1))
 
 
 def _refit(
-    frame: PlaneFrame, u: ndarray, v: ndarray, w: ndarray, n_seen: ndarray, start: tuple[ndarray, ndarray, ndarray] | None
+    frame: PlaneFrame,
+    u: ndarray,
+    v: ndarray,
+    w: ndarray,
+    n_seen: ndarray,
+    start: tuple[ndarray, ndarray, ndarray] | None,
 ) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Rows, weights, residuals and sigma of suspect views, in normalised coordinates; without a start, from four-corner fits."""
+    """Rows, weights, residuals, sigma of suspect views, normalised; from four-corner fits if ``start`` is None."""
     is_seen = w > 0
     rows, residuals, sigma = _best_subset(frame, u, v, is_seen, n_seen) if start is None else start
     depth = map_plane(rows, frame.xy)[2]

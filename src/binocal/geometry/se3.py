@@ -44,7 +44,8 @@ class SE3:
     def exp(xi: Float[ndarray, "*batch 6"]) -> SE3:
         """Transform of a tangent vector, rotation first (radians), then translation taken as it is.
 
-        The translation is NOT multiplied by the left Jacobian: ``exp(xi) = (exp(xi[:3]), xi[3:])``, the solver's retraction.
+        The translation is NOT multiplied by the left Jacobian: ``exp(xi) = (exp(xi[:3]), xi[3:])``, the solver's
+        retraction.
         """
         xi = np.asarray(xi, dtype=float)
         return SE3(so3.exp(xi[..., :3]), xi[..., 3:])

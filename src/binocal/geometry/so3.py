@@ -48,9 +48,7 @@ def log(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
     for i in range(3):
         candidates[..., i + 1, 0] = off[..., i]
         for j in range(3):
-            candidates[..., i + 1, j + 1] = (
-                1 + 2 * R[..., i, i] - trace if i == j else R[..., i, j] + R[..., j, i]
-            )
+            candidates[..., i + 1, j + 1] = 1 + 2 * R[..., i, i] - trace if i == j else R[..., i, j] + R[..., j, i]
     best = np.argmax(np.sum(candidates**2, axis=-1), axis=-1)
     q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
@@ -76,7 +74,7 @@ def project_to_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*bat
 
 
 def turn_to_z(axis: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation that takes a unit vector to (0, 0, 1) by the shortest way, as two reflections; free below 179° from it."""
+    """Rotation that takes a unit vector to (0, 0, 1) by the shortest way, as two reflections; exact below 179°."""
     half = axis + np.array([0.0, 0.0, 1.0])
     half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
     R = 2 * half[..., :, None] * half[..., None, :] - np.eye(3)

@@ -1,1 +1,1 @@
-"""Closed-form starts: vanishing points to intrinsics, homographies to poses, poses to rig; and the checks between views. numpy only."""
+"""Closed-form starts: vanishing points to intrinsics, homographies to poses, poses to rig; the checks between views."""

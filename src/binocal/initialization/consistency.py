@@ -1,8 +1,9 @@
-"""What is wrong with the views, by name: repaired where the repair is certain, rejected where not, refused where nothing is left.
+"""What is wrong with the views, by name: repaired where that is certain, else rejected, or the whole set refused.
 
-Order of the checks: each camera's corners (inside the picture, on a grid, spread), the resolution of left against right, each camera's
-geometry (degenerate sets), then the two cameras against each other (corner order, shifts, pairing), and last the rig as a whole.
-Thresholds compare with what the data itself shows (robust medians, covariances), never with one kind of rig.
+Order of the checks: each camera's corners (inside the picture, on a grid, spread), the resolution of left against
+right, each camera's geometry (degenerate sets), then the two cameras against each other (corner order, shifts,
+pairing), and last the rig as a whole. Thresholds compare with what the data itself shows (robust medians,
+covariances), never with one kind of rig.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 MIN_VIEWS = 3  # two leave the principal point to chance
-_OFF_GRID = 0.5  # robust sigma of a homography over the corner spacing; 200° fisheyes reach 0.3, a wrong order 1 and more
+_OFF_GRID = (
+    0.5  # robust sigma of a homography over the corner spacing; 200° fisheyes reach 0.3, a wrong order 1 and more
+)
 _MOST = 0.6  # share of views that makes a fault the set's, not the view's
 _OUTSIDE_PX = 2.0
 _MAX_SHIFT = 3
@@ -48,11 +51,12 @@ _SHARED_FOCAL = 0.03  # sigma of log f beyond which the other camera's focal len
 class Diagnosis:
     """The views as they can be used, and a start for the joint solver.
 
-    ``detections`` are the input with repaired corner orders (rejected views still in place); ``is_used`` marks the views to
-    calibrate from, ``rejected`` says why for the others, ``notes`` has a sentence for each repaired view ("" for the rest) and
-    ``warnings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and weights belong to the
-    corners as they were given, ``R_left_board`` and ``t_left_board`` (NaN where unused) to the repaired ones. ``left_weights`` and
-    ``right_weights`` in [0, 1] tell how far the start trusts each repaired corner.
+    ``detections`` are the input with repaired corner orders (rejected views still in place); ``is_used`` marks the
+    views to calibrate from, ``rejected`` says why for the others, ``notes`` has a sentence for each repaired view (""
+    for the rest) and ``warnings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and
+    weights belong to the corners as they were given, ``R_left_board`` and ``t_left_board`` (NaN where unused) to the
+    repaired ones. ``left_weights`` and ``right_weights`` in [0, 1] tell how far the start trusts each repaired
+    corner.
     """
 
     detections: Detections
@@ -72,7 +76,7 @@ class Diagnosis:
 
 
 def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: bool = False) -> Diagnosis:
-    """Check the views, repair or reject the bad ones, and start both cameras, T_right_left and the board poses in closed form.
+    """Check the views, repair or reject the bad ones, and start cameras, T_right_left and board poses in closed form.
 
     Raises:
         DataError: Corners lie outside the picture, or at another resolution than it.
@@ -103,7 +107,8 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     for side in range(2):
         _require(int(seen[side].sum()), detections, reasons)
     cameras = [
-        estimate_intrinsics(points, pixels[k], sizes[k], model, has_skew=has_skew, homographies=fits[k]) for k in range(2)
+        estimate_intrinsics(points, pixels[k], sizes[k], model, has_skew=has_skew, homographies=fits[k])
+        for k in range(2)
     ]
     for k, camera in enumerate(("left", "right")):
         _check_degeneracy(camera, cameras[k], points)
@@ -130,9 +135,12 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
                 t[view] = R[view] @ motion.t + t[view]
                 R[view] = R[view] @ motion.R
             notes[view] = (
-                f"the {('left', 'right')[side]} corner order was {symmetries.names[k]} against the other camera; repaired"
+                f"the {('left', 'right')[side]} corner order was {symmetries.names[k]} against the other camera; "
+                "repaired"
             )
-    is_used = (cameras[0].is_usable | cameras[1].is_usable) & np.array([i not in reasons for i in range(detections.n_views)])
+    is_used = (cameras[0].is_usable | cameras[1].is_usable) & np.array(
+        [i not in reasons for i in range(detections.n_views)]
+    )
     n_pairs = int(np.sum(is_used & cameras[0].is_usable & cameras[1].is_usable))
     _require(n_pairs, detections, reasons)
     R[~is_used], t[~is_used] = np.nan, np.nan
@@ -178,7 +186,8 @@ def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: Homograp
     trusted = fit.weights > 0.5
     with np.errstate(invalid="ignore"):
         beyond = np.maximum(
-            np.maximum(-0.5 - px[..., 0], px[..., 0] - (width - 0.5)), np.maximum(-0.5 - px[..., 1], px[..., 1] - (height - 0.5))
+            np.maximum(-0.5 - px[..., 0], px[..., 0] - (width - 0.5)),
+            np.maximum(-0.5 - px[..., 1], px[..., 1] - (height - 0.5)),
         )
         outside = trusted & (beyond > slack)
     if not outside.any():
@@ -190,7 +199,8 @@ def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: Homograp
     if len(inside) == trusted.sum() and np.all(inside <= np.array([height, width]) + _OUTSIDE_PX):
         hint = f"the image size looks swapped: give {height}x{width}"
     raise DataError(
-        f"{camera} view {names[view]}, corner {corner} at ({x:.1f}, {y:.1f}) px lies outside the {width}x{height} picture "
+        f"{camera} view {names[view]}, corner {corner} at ({x:.1f}, {y:.1f}) px lies outside the {width}x{height} "
+        "picture "
         f"({int(outside.sum())} such corners in {int(outside.any(axis=1).sum())} views); {hint}."
     )
 
@@ -210,7 +220,9 @@ def _check_grid(
     """Views whose corners are no picture of the board; refuses the set where nearly all are, and tries to say why."""
     n_seen = np.isfinite(px[..., 0]).sum(axis=1)
     with np.errstate(all="ignore"):
-        off_grid = (fit.status == UNFIT) | ((fit.status == GOOD) & (fit.sigma_px > _OFF_GRID * _spacing_px(points, fit)))
+        off_grid = (fit.status == UNFIT) | (
+            (fit.status == GOOD) & (fit.sigma_px > _OFF_GRID * _spacing_px(points, fit))
+        )
     examined = np.isin(fit.status, (GOOD, UNFIT))
     if off_grid.sum() > _MOST * max(examined.sum(), 1) and off_grid.sum() >= min(3, examined.sum()):
         order = transposed_order(points)
@@ -220,25 +232,33 @@ def _check_grid(
                 fits_now = (other.status == GOOD) & (other.sigma_px < 0.5 * _OFF_GRID * _spacing_px(points, fit))
             if fits_now.sum() > _MOST * examined.sum():
                 raise InconsistentViewsError(
-                    f"columns and rows are exchanged in the {camera} corners ({int(fits_now.sum())} of {int(examined.sum())} "
+                    f"columns and rows are exchanged in the {camera} corners ({int(fits_now.sum())} of "
+                    f"{int(examined.sum())} "
                     "views fit the board only when read column by column): exchange the board's columns and rows, "
                     "or give the corners row by row."
                 )
         view = int(np.flatnonzero(off_grid)[0])
         raise InconsistentViewsError(
-            f"the {camera} corners do not lie on the board's grid in {int(off_grid.sum())} of {int(examined.sum())} views (first: "
+            f"the {camera} corners do not lie on the board's grid in {int(off_grid.sum())} of "
+            f"{int(examined.sum())} views (first: "
             f"{names[view]}): the board's columns, rows or corner order are wrong; give the board as it is printed."
         )
     for view in np.flatnonzero(n_seen > 0):
         i = int(view)
         where = f"the {camera} corners"
         if off_grid[i]:
-            reasons.setdefault(i, f"{where} do not lie on the board's grid (order or detection is wrong); detect them again")
+            reasons.setdefault(
+                i, f"{where} do not lie on the board's grid (order or detection is wrong); detect them again"
+            )
         elif fit.status[i] == COINCIDENT:
             x, y = np.nanmean(px[i], axis=0)
-            reasons.setdefault(i, f"{where} all lie at one point ({x:.0f}, {y:.0f}); mark corners that were not found as NaN")
+            reasons.setdefault(
+                i, f"{where} all lie at one point ({x:.0f}, {y:.0f}); mark corners that were not found as NaN"
+            )
         elif fit.status[i] == COLLINEAR and n_seen[i] >= MIN_POINTS:
-            reasons.setdefault(i, f"{where} lie on one line and determine no pose; show more of the board, less edge-on")
+            reasons.setdefault(
+                i, f"{where} lie on one line and determine no pose; show more of the board, less edge-on"
+            )
 
 
 def _check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> None:
@@ -260,42 +280,45 @@ def _check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> N
         fresh &= np.sqrt(np.mean(np.square(ends_px - first), axis=1)) > tolerance
     if n_distinct < MIN_VIEWS:
         raise DegenerateGeometryError(
-            f"the {camera} camera sees the board in only {n_distinct} different pose{'' if n_distinct == 1 else 's'} in "
+            f"the {camera} camera sees the board in only {n_distinct} different "
+            f"pose{'' if n_distinct == 1 else 's'} in "
             f"{len(usable)} views: focal length and principal point are undetermined; "
             "tilt the board 20-45 deg about both axes in at least 3 views."
         )
     check_orientations(initial.vanishing.K, initial.columns, initial.covariance, camera)
     if initial.vanishing.sigma_log_focal > _MAX_SIGMA_LOG_FOCAL:
         raise DegenerateGeometryError(
-            f"the {camera} camera's focal length is known to ± {100 * initial.vanishing.sigma_log_focal:.0f} % only: the boards are "
+            f"the {camera} camera's focal length is known to ± {100 * initial.vanishing.sigma_log_focal:.0f} % "
+            "only: the boards are "
             "tilted too little or all alike; tilt the board 20-45 deg about both axes in at least 3 views."
         )
 
 
 def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
-    """A picture size too large for the corners: principal point far off the middle, and no corner beyond twice that; a warning or ""."""
+    """A warning, or "", on too large a picture size: principal point off the middle, no corner beyond twice that."""
     width, height = initial.size_wh
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     principal = initial.parameters[2:4]
     sigma = np.maximum(initial.vanishing.sigma_centre * initial.unit_px, 1.0)
-    trusted = px[initial.weights > 0.5]
-    if not len(trusted):
-        return ""
-    far = trusted.max(axis=0)
+    far = np.array([np.max(px[..., k], where=initial.weights > 0.5, initial=0.0) for k in range(2)])
     offset = centre - principal
     implied = 2 * principal + 1
-    if not np.all(far < 1.05 * implied):
+    if not np.all(far < 1.12 * implied):  # lenses sit a few percent off the middle of their own picture too
         return ""
     if np.all(offset > 0.15 * np.array([width, height])) and np.all(offset > 6 * sigma):
         raise DataError(
-            f"the {camera} corners fill only the first {far[0]:.0f}x{far[1]:.0f} px of a {width}x{height} picture, and the principal "
+            f"the {camera} corners fill only the first {far[0]:.0f}x{far[1]:.0f} px of a {width}x{height} "
+            "picture, and the principal "
             f"point ({principal[0]:.0f}, {principal[1]:.0f}) is far from its middle: the image size looks wrong, about "
-            f"{implied[0]:.0f}x{implied[1]:.0f} would fit; give the size of the picture in which the corners were found."
+            f"{implied[0]:.0f}x{implied[1]:.0f} would fit; give the size of the picture in which the corners were "
+            "found."
         )
     if np.any((offset > 0.1 * np.array([width, height])) & (offset > 6 * sigma)):
         return (
-            f"the {camera} principal point ({principal[0]:.0f}, {principal[1]:.0f}) is far from the middle of the {width}x{height} picture "
-            f"and the corners end at ({far[0]:.0f}, {far[1]:.0f}): check the image size; about {implied[0]:.0f}x{implied[1]:.0f} would fit."
+            f"the {camera} principal point ({principal[0]:.0f}, {principal[1]:.0f}) is far from the middle of the "
+            f"{width}x{height} picture "
+            f"and the corners end at ({far[0]:.0f}, {far[1]:.0f}): check the image size; about "
+            f"{implied[0]:.0f}x{implied[1]:.0f} would fit."
         )
     return ""
 
@@ -304,7 +327,7 @@ def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
 
 
 def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits: list[HomographyFit]) -> None:
-    """One camera's corners at a fraction of its picture: they keep to the first quarter, where the boards look half as large."""
+    """One camera's corners at a fraction of its picture: they keep to its first part, and boards look smaller."""
     both = fits[0].is_valid & fits[1].is_valid
     if both.sum() < MIN_VIEWS:
         return
@@ -320,17 +343,25 @@ def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits:
         if share < 0.62 and np.all(far[k] < share * 1.15) and np.any(far[1 - k] > 0.62):
             width, height = sizes[k]
             raise DataError(
-                f"the {name} corners keep to the first {far[k][0] * width:.0f}x{far[k][1] * height:.0f} px of the {width}x{height} "
-                f"picture and the boards look {share:.2f} times as large as in the {other} camera: the {name} corners are at about "
-                f"{share:.2f} of the picture's resolution; scale them, or give the {name} image size that belongs to them."
+                f"the {name} corners keep to the first {far[k][0] * width:.0f}x{far[k][1] * height:.0f} px of the "
+                f"{width}x{height} "
+                f"picture and the boards look {share:.2f} times as large as in the {other} camera: the {name} "
+                "corners are at about "
+                f"{share:.2f} of the picture's resolution; scale them, or give the {name} image size that belongs "
+                "to them."
             )
 
 
 def _share_focal(
-    cameras: list[InitialCamera], fits: list[HomographyFit], points: ndarray, pixels: list[ndarray],
-    sizes: list[tuple[int, int]], model: str, has_skew: bool,
+    cameras: list[InitialCamera],
+    fits: list[HomographyFit],
+    points: ndarray,
+    pixels: list[ndarray],
+    sizes: list[tuple[int, int]],
+    model: str,
+    has_skew: bool,
 ) -> list[InitialCamera]:
-    """In weak sets, bring both focal lengths together: boards far away look larger by the ratio of the focal lengths."""
+    """In weak sets, bring both focal lengths together: far boards look larger by the ratio of the focal lengths."""
     sigma = [camera.vanishing.sigma_log_focal for camera in cameras]
     both = cameras[0].is_usable & cameras[1].is_usable
     if max(sigma) < _SHARED_FOCAL or both.sum() < MIN_VIEWS:
@@ -367,9 +398,7 @@ def _quality(consensus: Consensus | None) -> tuple[float, float]:
     return float(consensus.agrees.sum() / examined.sum()), float(np.median(consensus.miss_px[consensus.agrees]))
 
 
-def _find_consensus(
-    cameras: list[InitialCamera], detections: Detections
-) -> tuple[Consensus, BoardSymmetries | None]:
+def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tuple[Consensus, BoardSymmetries | None]:
     """The rig on which most views agree; and the board's symmetries where some views may need one, else None.
 
     Raises:
@@ -378,14 +407,17 @@ def _find_consensus(
     left, right = cameras[0].poses, cameras[1].poses
     diagonal = float(np.hypot(*detections.left_size_wh))
     own = _own_rms(cameras)
-    trusted_px = max(4 * own, 1.0)  # where intrinsics are sound, a true consensus adds next to nothing to the views' own residuals
-    consensus = estimate_relative_pose(left, right)
+    trusted_px = max(
+        4 * own, 1.0
+    )  # where intrinsics are sound, a true consensus adds next to nothing to the views' own residuals
+    start_px = max(camera.rms_px for camera in cameras)
+    consensus = estimate_relative_pose(left, right, start_rms_px=start_px)
     share, typical = _quality(consensus)
     if share == 1.0 and typical < trusted_px:
         return consensus, None
     symmetries = board_symmetries(detections.object_points_m)
     if len(symmetries.names) > 1:
-        other = estimate_relative_pose(left, right, symmetries.motions, max_proposals=32)
+        other = estimate_relative_pose(left, right, symmetries.motions, max_proposals=32, start_rms_px=start_px)
         other_share, other_typical = _quality(other)
         n_more = int(other.agrees.sum()) - int(consensus.agrees.sum())
         if (other_typical < 3 * max(typical, own) and n_more > 0) or other_typical < typical / 3:
@@ -396,13 +428,15 @@ def _find_consensus(
             moved = _shifted(right, shift)
             if np.sum(left.is_usable & moved.is_usable) < MIN_VIEWS:
                 continue
-            other = estimate_relative_pose(left, moved, symmetries.motions)
+            other = estimate_relative_pose(left, moved, symmetries.motions, start_rms_px=start_px)
             other_share, other_typical = _quality(other)
             if other_share > 0.7 and other_typical < max(trusted_px, 2.0) and other_typical < (typical + own) / 3:
                 k = int(np.flatnonzero(other.agrees)[0])
                 raise InconsistentViewsError(
-                    f"pairs are off by {'one' if abs(shift) == 1 else abs(shift)}: left view {detections.names[k]} matches right view "
-                    f"{detections.names[k + shift]} ({int(other.agrees.sum())} of {int(np.sum(other.symmetry >= 0))} pairs "
+                    f"pairs are off by {'one' if abs(shift) == 1 else abs(shift)}: left view "
+                    f"{detections.names[k]} matches right view "
+                    f"{detections.names[k + shift]} ({int(other.agrees.sum())} of "
+                    f"{int(np.sum(other.symmetry >= 0))} pairs "
                     "agree when moved so); pair the pictures again."
                 )
         if not share >= 0.5 or typical > max(0.02 * diagonal, trusted_px):
@@ -410,7 +444,8 @@ def _find_consensus(
             n_pairs = int(np.sum(consensus.symmetry >= 0))
             raise InconsistentViewsError(
                 f"left and right contradict each other: no rig explains more than {n_agree} of {n_pairs} pairs within "
-                f"{max(0.02 * diagonal, trusted_px):.0f} px (the best misses by {typical:.0f} px): check that the pairs are simultaneous, "
+                f"{max(0.02 * diagonal, trusted_px):.0f} px (the best misses by {typical:.0f} px): check that the "
+                "pairs are simultaneous, "
                 "that the rig is rigid, and that both cameras number the same board alike."
             )
     return consensus, symmetries
@@ -440,21 +475,23 @@ def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], poin
             px = float(transfer_px(consensus.T_right_left, poses[0], poses[1], SE3(np.eye(3), offset))[0])
             found.append((px, name, abs(count)))
     px, name, count = min(found)
-    if px < 0.25 * float(transfer_px(consensus.T_right_left, poses[0], poses[1], SE3.identity())[0]) and px < 3 * consensus.limit_px:
+    if (
+        px < 0.25 * float(transfer_px(consensus.T_right_left, poses[0], poses[1], SE3.identity())[0])
+        and px < 3 * consensus.limit_px
+    ):
         stray = [float(np.mean(c.weights[view][np.isfinite(c.homographies.residuals_px[view])] < 0.1)) for c in cameras]
         side = "left" if stray[0] > stray[1] + 0.03 else "right" if stray[1] > stray[0] + 0.03 else "left or right"
         how_many = f"one {name}" if count == 1 else f"two {name}s"
         return f"the {side} corners are shifted by {how_many} against the other camera; detect this view again"
     return (
         f"left and right do not show the same board pose (they miss each other by {miss:.0f} px, other views by "
-        f"{float(np.median(consensus.miss_px[consensus.agrees])):.1f} px): the pair is mismatched or was not simultaneous"
+        f"{float(np.median(consensus.miss_px[consensus.agrees])):.1f} px): the pair is mismatched or was not "
+        "simultaneous"
     )
 
 
-def _culprit(
-    view: int, symmetry: int, consensus: Consensus, cameras: list[InitialCamera]
-) -> int:
-    """0 or 1: the camera whose board stands otherwise than in its other views; if most views need the repair, the upside-down one."""
+def _culprit(view: int, symmetry: int, consensus: Consensus, cameras: list[InitialCamera]) -> int:
+    """0 or 1: the camera whose board stands otherwise than in its other views; if most do, the inverted one."""
     agreeing = consensus.agrees & (consensus.symmetry >= 0)
     mostly = np.mean(consensus.symmetry[agreeing] == symmetry) > 0.5
     score = []
@@ -477,7 +514,8 @@ def _rig_warnings(consensus: Consensus, cameras: list[InitialCamera], notes: lis
     repaired = [note for note in notes if note]
     if len(repaired) > _MOST * consensus.agrees.sum() and len(repaired) > 1:
         warnings.append(
-            f"{len(repaired)} views needed their corner order repaired: one camera numbers the board's corners from the other end."
+            f"{len(repaired)} views needed their corner order repaired: one camera numbers the board's corners "
+            "from the other end."
         )
     for name, camera in zip(("left", "right"), cameras, strict=True):
         warnings.extend(f"{name} camera: {note}." for note in camera.notes)

@@ -1,10 +1,11 @@
 """Lens distortion before anything else is known: the radial profile that makes board views projective.
 
-A pixel at (dx, dy) from the distortion centre is lifted to the ray (dx, dy, g), g = 1 + l1 r² + l2 r⁴, lengths in half diagonals of the
-picture. With l1 < 0 this covers barrel distortion and every usual fisheye (equidistant: g = θ / tan θ, whose series it
-follows to 1 % at 75°; stereographic: l2 = 0 exactly), rays beyond 90° included (g < 0). Neither focal length nor pose enters: the
-homographies' residual alone decides (Fitzgibbon 2001, "Simultaneous linear estimation of multiple view geometry and lens distortion";
-two coefficients and the centre are this project's, solved by Gauss-Newton with the homographies eliminated).
+A pixel at (dx, dy) from the distortion centre is lifted to the ray (dx, dy, g), g = 1 + l1 r² + l2 r⁴, lengths in
+half diagonals of the picture. With l1 < 0 this covers barrel distortion and every usual fisheye (equidistant: g = θ /
+tan θ, whose series it follows to 1 % at 75°; stereographic: l2 = 0 exactly), rays beyond 90° included (g < 0).
+Neither focal length nor pose enters: the homographies' residual alone decides (Fitzgibbon 2001, "Simultaneous linear
+estimation of multiple view geometry and lens distortion"; two coefficients and the centre are this project's, solved
+by Gauss-Newton with the homographies eliminated).
 """
 
 from __future__ import annotations
@@ -24,12 +25,21 @@ if TYPE_CHECKING:
 MAX_VIEWS, MAX_POINTS = 12, 60  # evenly chosen; enough for a start, the joint solver sees everything
 _MIN_G = 0.3  # 75-80 deg from the axis: nearer to the horizon rays are turned before the plane is used
 _MIN_COSINE = 0.08  # a corner 85 deg from its own view's mean ray is left out
-_CANDIDATES = (0.0, -0.12, -0.3, -0.5, -0.8, -1.3, -2.2, 0.25)  # l1: none, barrel up to 240° fisheyes (diagonal), pincushion
+_CANDIDATES = (
+    0.0,
+    -0.12,
+    -0.3,
+    -0.5,
+    -0.8,
+    -1.3,
+    -2.2,
+    0.25,
+)  # l1: none, barrel up to 240° fisheyes (diagonal), pincushion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lifting:
-    """Radial profile: pixel → ray (dx, dy, g); ``centre_px`` and ``unit_px`` place and scale it, ``aspect`` = fx / fy."""
+    """Radial profile, pixel → ray (dx, dy, g); placed by ``centre_px``, scaled by ``unit_px``, ``aspect`` = fx / fy."""
 
     centre_px: Float[ndarray, "2"]
     unit_px: float
@@ -50,8 +60,12 @@ class Lifting:
 
 
 def estimate_lifting(
-    frame: PlaneFrame, u_px: Float[ndarray, "views n"], v_px: Float[ndarray, "views n"], weights: Float[ndarray, "views n"],
-    size_wh: tuple[int, int], aspect: float = 1.0,
+    frame: PlaneFrame,
+    u_px: Float[ndarray, "views n"],
+    v_px: Float[ndarray, "views n"],
+    weights: Float[ndarray, "views n"],
+    size_wh: tuple[int, int],
+    aspect: float = 1.0,
 ) -> Lifting:
     """Radial profile and its centre from at most 12 evenly chosen views; weight 0 marks unseen or outlying corners."""
     centre = np.array([(size_wh[0] - 1) / 2, (size_wh[1] - 1) / 2])
@@ -72,7 +86,9 @@ def estimate_lifting(
     best = coarse[int(np.argmin(_cost(_residuals(coarse, frame, u[few], v[few], w[few]))))]
     # Priors in units: l1, l2 of usual lenses; principal points lie within a few percent of the middle
     prior = 1 / np.array([2.0, 2.0, 0.06, 0.06]) ** 2
-    offsets = 1e-5 * np.concatenate([np.zeros((1, 4)), np.eye(4)])  # a candidate and its four finite differences at once
+    offsets = 1e-5 * np.concatenate(
+        [np.zeros((1, 4)), np.eye(4)]
+    )  # a candidate and its four finite differences at once
     lam, current, candidate = 1e-4, np.inf, best
     for _ in range(10):
         residuals = _residuals(candidate + offsets, frame, u, v, w)
@@ -117,8 +133,9 @@ def _fit_rays(
 ) -> tuple[PlaneFit, ndarray, ndarray, ndarray | None, ndarray, ndarray]:
     """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-picture scale, and the weights.
 
-    Where rays come near the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, after scaling g to metric
-    rays by the equidistant guess of the focal length) so that its mean ray is the axis: the homography found is then M H.
+    Where rays come near the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, after scaling
+    g to metric rays by the equidistant guess of the focal length) so that its mean ray is the axis: the homography
+    found is then M H.
     """
     if np.all((g > _MIN_G) | (w == 0)):
         g = np.where(w > 0, g, 1.0)
@@ -157,7 +174,7 @@ def _cost(residuals: Float[ndarray, "k views 2 n"]) -> Float[ndarray, "k"]:
 def fit_lifted(
     lifting: Lifting, frame: PlaneFrame, u_px: ndarray, v_px: ndarray, weights: ndarray
 ) -> tuple[Float[ndarray, "views 3 2"], Float[ndarray, "views 6 6"], ndarray]:
-    """First two columns of each view's homography board → (dx, dy, g), their covariance for unit noise, and distances in pixels."""
+    """First two columns of each homography board → (dx, dy, g), their covariance for unit noise, distances (px)."""
     dx, dy, g = lifting.lift(u_px, v_px)
     fit, du, dv, M, root, _ = _fit_rays(frame, dx, dy, g, weights, np.asarray(lifting.l1))
     columns, covariance = fit.rows[..., :2], fit.column_covariance
@@ -170,12 +187,11 @@ def fit_lifted(
     return columns, covariance, np.hypot(du, dv) * root * lifting.unit_px
 
 
-def fit_brown(
-    lifting: Lifting, focal_px: float, r_max: float, n_coefficients: int
-) -> Float[ndarray, "d"]:
+def fit_brown(lifting: Lifting, focal_px: float, r_max: float, n_coefficients: int) -> Float[ndarray, "d"]:
     """Brown-Conrady coefficients (k1, k2, p1, p2, ...) that follow the profile up to radius ``r_max`` (units).
 
-    k1, k2 for four coefficients, k3 too for more; the rational ones stay 0. Fewer where the polynomial would fold back in range.
+    k1, k2 for four coefficients, k3 too for more; the rational ones stay 0. Fewer where the polynomial would fold
+    back in range.
     """
     f = focal_px / lifting.unit_px
     r = np.linspace(0.02, 1, 60) * r_max
@@ -197,7 +213,7 @@ def fit_brown(
 
 
 def fit_kannala_brandt(lifting: Lifting, focal_px: float, r_max: float) -> Float[ndarray, "4"]:
-    """Fisheye coefficients that follow the profile up to radius ``r_max`` (units); k3, k4 stay 0 below 70° of half field."""
+    """Fisheye coefficients that follow the profile up to ``r_max`` (units); k3, k4 stay 0 below 70° of half field."""
     f = focal_px / lifting.unit_px
     r = np.linspace(0.02, 1, 60) * r_max
     theta = np.arctan2(r / f, 1 + r * r * (lifting.l1 + r * r * lifting.l2))

@@ -11,7 +11,7 @@ from numpy import ndarray
 from binocal.cameras import camera_model
 from binocal.errors import TooFewViewsError
 from binocal.geometry.homography import HomographyFit, PlaneFrame, fit_homographies
-from binocal.initialization.distortion import Lifting, estimate_lifting, fit_brown, fit_kannala_brandt, fit_lifted
+from binocal.initialization.distortion import estimate_lifting, fit_brown, fit_kannala_brandt, fit_lifted
 from binocal.initialization.poses import BoardPoses, poses_from_rays, select_poses, unproject_all
 from binocal.initialization.vanishing_points import VanishingEstimate, estimate_pinhole
 
@@ -29,11 +29,11 @@ _CENTRE_PRIOR = 0.12  # half diagonals: principal points of real cameras, wide
 class InitialCamera:
     """A camera to start the joint solver from.
 
-    ``parameters``: fx, fy, cx, cy, skew, then the model's distortion. ``poses`` are ``T_camera_board`` by view (NaN where not usable),
-    ``homographies`` what the views looked like before any of this, ``weights`` how far each corner is
-    trusted, ``vanishing`` how well the views determine the pinhole
-    (coordinates: half diagonals around ``lifting.centre_px``; ``columns`` and ``covariance`` are its input, at most 40 views).
-    ``rms_px`` is the RMS distance of the corners that the robust weights trust, pixels, under the full model, over at most 40 views.
+    ``parameters``: fx, fy, cx, cy, skew, then the model's distortion. ``poses`` are ``T_camera_board`` by view (NaN
+    where not usable), ``homographies`` what the views looked like before any of this, ``weights`` how far each corner
+    is trusted, ``vanishing`` how well the views determine the pinhole (coordinates: half diagonals around
+    ``lifting.centre_px``; ``columns`` and ``covariance`` are its input, at most 40 views). ``rms_px`` is the RMS
+    distance of the corners that the robust weights trust, pixels, under the full model, over at most 40 views.
     """
 
     model: str
@@ -56,14 +56,21 @@ class InitialCamera:
 
 
 def estimate_intrinsics(
-    object_points: Float[ndarray, "n d"], pixels: Float[ndarray, "views n 2"], size_wh: tuple[int, int], model: str,
-    *, has_skew: bool = False, homographies: HomographyFit | None = None, focal_px: tuple[float, float] | None = None,
+    object_points: Float[ndarray, "n d"],
+    pixels: Float[ndarray, "views n 2"],
+    size_wh: tuple[int, int],
+    model: str,
+    *,
+    has_skew: bool = False,
+    homographies: HomographyFit | None = None,
+    focal_px: tuple[float, float] | None = None,
 ) -> InitialCamera:
     """Camera and board poses from corners alone, no nominal focal length; NaN = not seen, object points in z = 0.
 
-    The radial profile comes first, from straightness (homographies) alone; vanishing points of the lifted views then give the
-    pinhole; the profile is rewritten in the model's own coefficients, and those are refitted to the poses, linearly
-    (Zhang 2000, eq. 13), where that lowers the residual. Lands within a few pixels, for the joint solver to finish.
+    The radial profile comes first, from straightness (homographies) alone; vanishing points of the lifted views then
+    give the pinhole; the profile is rewritten in the model's own coefficients, and those are refitted to the poses,
+    linearly (Zhang 2000, eq. 13), where that lowers the residual. Lands within a few pixels, for the joint solver to
+    finish.
 
     Raises:
         TooFewViewsError: No view has a homography.
@@ -122,23 +129,32 @@ def estimate_intrinsics(
         distortion = fit_brown(lifting, fx, r_max, camera_model(model).n_parameters - 5)
     parameters = np.r_[fx, fy, lifting.centre_px, K[0, 1] * lifting.unit_px / lifting.aspect, distortion]
     some = some[poses.is_usable[some]]
+    xy = np.asarray(object_points, dtype=float)[:, :2]
     parameters, rms_px = _refit_distortion(
-        model, parameters, select_poses(poses, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
-        weights[some],
-    )  # fmt: skip
+        model, parameters, select_poses(poses, some), xy, u[some], v[some], weights[some]
+    )
     if np.min(np.where(weights > 0.05, g, 1.0)) < _STRONG_G:
-        # The model's own coefficients bend a strong lens otherwise than the profile did: poses once more, through the model
+        # The model's own coefficients bend a strong lens otherwise than the profile did: poses again, through the model
         rays = unproject_all(model, parameters, np.where(is_seen[..., None], pixels, np.nan))
         again = poses_from_rays(frame, rays, pixels, weights)
         if again.is_usable[some].all():
             refitted, rms_again = _refit_distortion(
-                model, parameters, select_poses(again, some), np.asarray(object_points, dtype=float)[:, :2], u[some], v[some],
-                weights[some],
-            )  # fmt: skip
+                model, parameters, select_poses(again, some), xy, u[some], v[some], weights[some]
+            )
             if rms_again < rms_px:
                 parameters, rms_px, poses = refitted, rms_again, again
     return InitialCamera(
-        model, size_wh, parameters, poses, rms_px, fits, vanishing, columns, covariance, weights, lifting.unit_px,
+        model,
+        size_wh,
+        parameters,
+        poses,
+        rms_px,
+        fits,
+        vanishing,
+        columns,
+        covariance,
+        weights,
+        lifting.unit_px,
         vanishing.notes,
     )
 
@@ -162,7 +178,13 @@ def _view_sigma(distance: Float[ndarray, "views n"], weights: Float[ndarray, "vi
 
 
 def _refit_distortion(
-    model: str, parameters: ndarray, poses: BoardPoses, xy: Float[ndarray, "n 2"], u: ndarray, v: ndarray, weights: ndarray
+    model: str,
+    parameters: ndarray,
+    poses: BoardPoses,
+    xy: Float[ndarray, "n 2"],
+    u: ndarray,
+    v: ndarray,
+    weights: ndarray,
 ) -> tuple[Float[ndarray, "p"], float]:
     """Radial coefficients refitted linearly to fixed poses, if better; and the weighted RMS distance in pixels."""
     functions = camera_model(model)
@@ -194,7 +216,9 @@ def _refit_distortion(
     if not np.isfinite(before):
         return parameters, before
     A = np.stack([base ** powers[slot - 5] for slot in slots])
-    AA = (A * (weights * (np.square(fx * unit_x) + np.square(fy * unit_y)))).reshape(len(slots), -1) @ A.reshape(len(slots), -1).T
+    AA = (A * (weights * (np.square(fx * unit_x) + np.square(fy * unit_y)))).reshape(len(slots), -1) @ A.reshape(
+        len(slots), -1
+    ).T
     b = A.reshape(len(slots), -1) @ (weights * (fx * unit_x * e_u + fy * unit_y * e_v)).ravel()
     scale = 1 / np.sqrt(np.maximum(np.diag(AA), 1e-300))
     step = scale * np.linalg.lstsq(AA * scale * scale[:, None], b * scale, rcond=1e-8)[0]

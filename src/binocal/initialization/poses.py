@@ -1,8 +1,9 @@
 """Poses of a planar board from one camera's rays, all views at once, in closed form.
 
-Each view's rays are first turned so that their mean is the z axis: pinhole and fisheye are then alike, rays beyond 90° included, and
-the planar two-fold ambiguity is a change of sign. The homography's sums (:func:`plane_moments`) are kept as a quadratic
-form in the pose's nine numbers (r1, r2, t), so that refining a pose, or asking how well any other pose fits, needs no corners.
+Each view's rays are first turned so that their mean is the z axis: pinhole and fisheye are then alike, rays beyond
+90° included, and the planar two-fold ambiguity is a change of sign. The homography's sums (:func:`plane_moments`) are
+kept as a quadratic form in the pose's nine numbers (r1, r2, t), so that refining a pose, or asking how well any other
+pose fits, needs no corners.
 """
 
 from __future__ import annotations
@@ -15,7 +16,15 @@ from numpy import ndarray
 
 from binocal.cameras import camera_model
 from binocal.geometry import so3
-from binocal.geometry.homography import MIN_POINTS, PlaneFrame, fit_homographies, map_plane, plane_moments, plane_spread, solve_plane
+from binocal.geometry.homography import (
+    MIN_POINTS,
+    PlaneFrame,
+    fit_homographies,
+    map_plane,
+    plane_moments,
+    plane_spread,
+    solve_plane,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -27,9 +36,9 @@ _MIN_COSINE = 0.08  # a corner 85 deg from its own view's mean ray is left out
 class BoardPoses:
     """``T_camera_board`` of every view, NaN where not ``is_usable``.
 
-    ``rms_px`` is the weighted RMS distance of a view's corners, pixels, from the quadratic form ``fit``: ``h' fit h`` is the weighted sum
-    of squared pixels for h = the rows of ``turn [s r1, s r2, R c + t]`` with the board frame's scale s and centre c.
-    ``n_corners`` counts the weights.
+    ``rms_px`` is the weighted RMS distance of a view's corners, pixels, from the quadratic form ``fit``: ``h' fit h``
+    is the weighted sum of squared pixels for h = the rows of ``turn [s r1, s r2, R c + t]`` with the board frame's
+    scale s and centre c. ``n_corners`` counts the weights.
     """
 
     R: Float[ndarray, "views 3 3"]
@@ -43,13 +52,16 @@ class BoardPoses:
 
 
 def estimate_poses(
-    model: str, parameters: Float[ndarray, "p"], object_points: Float[ndarray, "n d"], pixels: Float[ndarray, "views n 2"],
+    model: str,
+    parameters: Float[ndarray, "p"],
+    object_points: Float[ndarray, "n d"],
+    pixels: Float[ndarray, "views n 2"],
     weights: Float[ndarray, "views n"] | None = None,
 ) -> BoardPoses:
     """Board poses of a calibrated camera; NaN pixels were not seen. The better of the two planar candidates.
 
-    ``weights`` in [0, 1] default to the robust homography's. Object points lie in z = 0. A view that determines no homography
-    is not usable.
+    ``weights`` in [0, 1] default to the robust homography's. Object points lie in z = 0. A view that determines no
+    homography is not usable.
     """
     pixels = np.asarray(pixels, dtype=float)
     if weights is None:
@@ -59,13 +71,16 @@ def estimate_poses(
 
 
 def estimate_pose_candidates(
-    model: str, parameters: Float[ndarray, "p"], object_points: Float[ndarray, "n d"], pixels: Float[ndarray, "views n 2"],
+    model: str,
+    parameters: Float[ndarray, "p"],
+    object_points: Float[ndarray, "n d"],
+    pixels: Float[ndarray, "views n 2"],
     weights: Float[ndarray, "views n"] | None = None,
 ) -> tuple[BoardPoses, BoardPoses]:
     """Both planar candidates of every view, each refined, the better first: in far or weak views they fit almost alike.
 
-    Source: Collins & Bartoli 2014, "Infinitesimal plane-based pose estimation", on the ambiguity; the second candidate here is the first
-    with its tilt against the line of sight reversed, then refined.
+    Source: Collins & Bartoli 2014, "Infinitesimal plane-based pose estimation", on the ambiguity; the second
+    candidate here is the first with its tilt against the line of sight reversed, then refined.
     """
     pixels = np.asarray(pixels, dtype=float)
     if weights is None:
@@ -80,14 +95,19 @@ def unproject_all(
     """Rays X, Y, Z of pixels; NaN where unseen or where the model has none."""
     is_seen = np.isfinite(pixels[..., 0])
     rays = np.full((3, *is_seen.shape), np.nan)
-    X, Y, Z, _ = camera_model(model).unproject(np.asarray(parameters, dtype=float), pixels[is_seen, 0], pixels[is_seen, 1])
+    X, Y, Z, _ = camera_model(model).unproject(
+        np.asarray(parameters, dtype=float), pixels[is_seen, 0], pixels[is_seen, 1]
+    )
     rays[:, is_seen] = X, Y, Z
     return rays[0], rays[1], rays[2]
 
 
 def poses_from_rays(
-    frame: PlaneFrame, rays: tuple[ndarray, ndarray, ndarray], pixels: Float[ndarray, "views n 2"],
-    weights: Float[ndarray, "views n"], n_iterations: int = 2,
+    frame: PlaneFrame,
+    rays: tuple[ndarray, ndarray, ndarray],
+    pixels: Float[ndarray, "views n 2"],
+    weights: Float[ndarray, "views n"],
+    n_iterations: int = 2,
 ) -> BoardPoses:
     """Poses from rays (any length, any direction); pixels serve only to weigh the residuals in pixels."""
     direction = np.stack(rays, axis=-2)
@@ -104,12 +124,12 @@ def poses_from_rays(
     inverse_z = 1 / np.where(z > _MIN_COSINE, z, 1.0)
     a, b = turned[:, 0] * inverse_z, turned[:, 1] * inverse_z
     n_corners = w.sum(axis=-1)
-    px_per_unit = plane_spread(np.where(w > 0, pixels[..., 0], 0.0), np.where(w > 0, pixels[..., 1], 0.0), w) / plane_spread(a, b, w)
+    px_per_unit = plane_spread(
+        np.where(w > 0, pixels[..., 0], 0.0), np.where(w > 0, pixels[..., 1], 0.0), w
+    ) / plane_spread(a, b, w)
     with np.errstate(all="ignore"):
         px = w * (px_per_unit * px_per_unit)[:, None]
         rows = solve_plane(plane_moments(frame.basis, a, b, px)).rows
-        depth = map_plane(rows, frame.xy)[2]
-        rows = solve_plane(plane_moments(frame.basis, a, b, px / np.maximum(depth * depth, 1e-2))).rows
         is_usable = (np.count_nonzero(w > 0.05, axis=-1) >= MIN_POINTS) & np.all(np.isfinite(rows), axis=(-1, -2))
         rows = np.where(is_usable[:, None, None], rows, np.eye(3))
         R, t, size = _decompose(rows, frame.scale)
@@ -123,8 +143,8 @@ def poses_from_rays(
     fit[:, 6:, 6:] = moments[:, 3]
     poses = BoardPoses(R, t, is_usable, np.zeros(len(w)), fit, turn, np.maximum(n_corners, 1e-9), frame)
     poses = _refined(poses, R, t, n_iterations)
-    # Weak perspective: where the tilt is small or the board far, the closed form may fall into the wrong valley. A pose that
-    # fits nearly as well as a homography (two parameters more) is in the right one.
+    # Weak perspective: where the tilt is small or the board far, the closed form may fall into the wrong valley. A
+    # pose that fits nearly as well as a homography (two parameters more) is in the right one.
     h = (rows * (frame.scale / size)[:, None, None]).reshape(-1, 9)
     free_rms = np.sqrt(np.maximum(np.sum(h * (fit @ h[..., None])[..., 0], axis=-1), 0.0) / poses.n_corners)
     doubtful = np.flatnonzero(is_usable & (poses.rms_px > 1.3 * free_rms))
@@ -148,7 +168,7 @@ def select_poses(poses: BoardPoses, views: Int[ndarray, "k"]) -> BoardPoses:
 
 
 def _decompose(rows: Float[ndarray, "*batch 3 3"], scale: float) -> tuple[ndarray, ndarray, ndarray]:
-    """Rotation, position of the frame's centre, and length of the columns, by the symmetric orthogonalisation of [h1 h2]."""
+    """Rotation, position of the frame's centre, and length of the columns, by orthogonalising [h1 h2] symmetrically."""
     A = rows[..., :2]
     G = A.swapaxes(-1, -2) @ A
     root_det = np.sqrt(np.maximum(G[..., 0, 0] * G[..., 1, 1] - G[..., 0, 1] ** 2, 1e-300))
@@ -173,7 +193,7 @@ def pose_vector(
 
 
 def pose_jacobian(R: Float[ndarray, "*batch 3 3"], scale: float) -> Float[ndarray, "*batch 9 6"]:
-    """Derivative of :func:`pose_vector` by a left rotation ``exp(w) R`` about the board's centre, and by its position."""
+    """Derivative of :func:`pose_vector` by a left rotation about the board's centre, and by its position."""
     J = np.zeros((*R.shape[:-2], 3, 3, 6))
     for column in range(2):
         J[..., :, column, :3] = -so3.hat(R[..., column] * scale)
@@ -182,7 +202,7 @@ def pose_jacobian(R: Float[ndarray, "*batch 3 3"], scale: float) -> Float[ndarra
 
 
 def _refined(poses: BoardPoses, R: ndarray, t_centre: ndarray, n_iterations: int) -> BoardPoses:
-    """Gauss-Newton on the quadratic form from turned-frame poses of the board's centre; fills R, t, rms_px in the camera's frame."""
+    """Gauss-Newton on the quadratic form, from turned-frame poses of the board's centre to the camera's frame."""
     scale = poses.frame.scale
     fit = poses.fit
     h = pose_vector(R, t_centre, scale)
@@ -193,7 +213,7 @@ def _refined(poses: BoardPoses, R: ndarray, t_centre: ndarray, n_iterations: int
         N = J.swapaxes(-1, -2) @ FJ
         diagonal = np.einsum("...ii->...i", N)
         N = N + (1e-9 * diagonal + 1e-300)[..., None] * np.eye(6)
-        g = (FJ.swapaxes(-1, -2) @ h[..., None])
+        g = FJ.swapaxes(-1, -2) @ h[..., None]
         step = -np.linalg.solve(N, g)[..., 0]
         angle = np.linalg.norm(step[..., :3], axis=-1, keepdims=True)
         step = step * np.minimum(1.0, 0.5 / np.maximum(angle, 1e-300))

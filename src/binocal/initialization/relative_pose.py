@@ -1,8 +1,9 @@
 """``T_right_left`` by consensus over views, board symmetries included; never the plain mean.
 
-Each view's pair of board poses proposes a transform. A proposal predicts every other view's right picture from its left pose, and the
-quadratic forms of :class:`BoardPoses` tell by how many pixels it misses, without touching corners. The proposal with the most votes
-is then refined jointly with one board pose per view (Gauss-Newton on both cameras' quadratic forms, views eliminated).
+Each view's pair of board poses proposes a transform. A proposal predicts every other view's right picture from its
+left pose, and the quadratic forms of :class:`BoardPoses` tell by how many pixels it misses, without touching corners.
+The proposal with the most votes is then refined jointly with one board pose per view (Gauss-Newton on both cameras'
+quadratic forms, views eliminated).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _MAX_PROPOSALS = 12
+_MAX_VOTERS = 48  # views asked about every proposal; the winner is put to all
 _FLOOR_PX = 2.0  # a start's own inaccuracy: below it no view is blamed
 _RATIO = 6.0  # a view disagrees when it misses 6 times as far as the median agreeing view
 _OWN_RATIO = 2.0  # nor is one that its own camera's start already misses by half as much: the lens is to blame there
@@ -30,9 +32,10 @@ _OWN_RATIO = 2.0  # nor is one that its own camera's start already misses by hal
 class Consensus:
     """``T_right_left``, and how each view stands to it.
 
-    ``agrees`` marks the views that support it; ``symmetry`` is the index of the board symmetry each view needed (0 = none, -1 = the
-    view lacks a camera); ``miss_px`` the RMS distance of both cameras' corners once the view's own board pose is refitted under
-    T_right_left, ``limit_px`` the bound on it that the agreeing views set (or twice what the view misses by without any rig); ``T_left_board`` those poses (NaN rows where unusable).
+    ``agrees`` marks the views that support it; ``symmetry`` is the index of the board symmetry each view needed (0 =
+    none, -1 = the view lacks a camera); ``miss_px`` the RMS distance of both cameras' corners once the view's own
+    board pose is refitted under T_right_left, ``limit_px`` the bound on it that the agreeing views set (or twice what
+    the view misses by without any rig); ``T_left_board`` those poses (NaN rows where unusable).
     """
 
     T_right_left: SE3
@@ -45,13 +48,19 @@ class Consensus:
 
 
 def estimate_relative_pose(
-    left: BoardPoses, right: BoardPoses, symmetries: SE3 | None = None, *, max_proposals: int = _MAX_PROPOSALS,
+    left: BoardPoses,
+    right: BoardPoses,
+    symmetries: SE3 | None = None,
+    *,
+    max_proposals: int = _MAX_PROPOSALS,
     n_iterations: int = 3,
+    start_rms_px: float = 0.0,
 ) -> Consensus | None:
     """Consensus over the views that both cameras see, or None where no view has both.
 
-    ``symmetries``: transforms of the board onto itself, the identity first; a view may use any of them on its right pose
-    (``T_right_board S``). Proposals come from at most ``max_proposals`` evenly chosen views.
+    ``symmetries``: transforms of the board onto itself, the identity first; a view may use any of them on its right
+    pose (``T_right_board S``). Proposals come from at most ``max_proposals`` evenly chosen views.
+    ``start_rms_px`` is what the cameras' own starts miss by: no view is blamed for less than six times that.
     """
     both = np.flatnonzero(left.is_usable & right.is_usable)
     n_views = len(left.is_usable)
@@ -66,17 +75,25 @@ def estimate_relative_pose(
     proposals = SE3(
         turned.R @ inverse.R[:, None], (turned.R @ inverse.t[:, None, :, None])[..., 0] + turned.t
     )  # (proposers, symmetries)
-    miss = np.stack([_transfer_px(proposals.R, proposals.t, L, right, both, S[k : k + 1]) for k in range(len(S.R))], axis=-1)
-    best_symmetry = np.argmin(miss - 1e-9 * (np.arange(len(S.R)) == 0), axis=-1)
-    least = np.min(miss, axis=-1)  # (proposers, symmetries, views)
+    voters = np.linspace(0, len(both) - 1, min(_MAX_VOTERS, len(both))).round().astype(int)
+
+    def misses(T_R: ndarray, T_t: ndarray, views: ndarray) -> ndarray:
+        return np.stack(
+            [_transfer_px(T_R, T_t, L[views], right, both[views], S[k : k + 1]) for k in range(len(S.R))], axis=-1
+        )
+
+    miss = misses(proposals.R, proposals.t, voters)
+    unturned = np.argmin(miss, axis=-1) == 0
+    least = np.min(miss, axis=-1)  # (proposers, symmetries, voters)
     scale = np.maximum(_FLOOR_PX, 3 * np.quantile(least, 0.3, axis=-1, keepdims=True))
     scale = np.minimum(scale, max(4 * float(scale.min()), 4 * _FLOOR_PX))
-    votes = np.sum(1 / (1 + (least / scale) ** 2), axis=-1) + 1e-6 * np.sum(best_symmetry == 0, axis=-1)
+    votes = np.sum(1 / (1 + (least / scale) ** 2), axis=-1) + 1e-6 * np.sum(unturned, axis=-1)
     winner = np.unravel_index(int(np.argmax(votes)), votes.shape)
-    symmetry = best_symmetry[winner]
-    agrees = least[winner] < 3 * scale[winner]
+    miss = misses(proposals.R[winner], proposals.t[winner], np.arange(len(both)))
+    symmetry, least = np.argmin(miss, axis=-1), np.min(miss, axis=-1)
+    agrees = least < 3 * scale[winner]
     if not agrees.any():
-        agrees = least[winner] <= least[winner].min()
+        agrees = least <= least.min()
     T = SE3(proposals.R[winner], proposals.t[winner])
 
     own_px = np.sqrt((np.square(left.rms_px[both]) + np.square(right.rms_px[both])) / 2)
@@ -84,7 +101,7 @@ def estimate_relative_pose(
     for _ in range(2):
         T, R_board, t_board, miss_px = _refine(T, L, left, right_form, both, agrees, n_iterations)
         typical = float(np.median(miss_px[agrees]))
-        limit_px = max(_FLOOR_PX, _RATIO * typical)
+        limit_px = max(_FLOOR_PX, _RATIO * max(typical, start_rms_px))
         before, agrees = agrees, miss_px < np.maximum(limit_px, _OWN_RATIO * own_px)
         if not agrees.any():
             agrees = miss_px <= miss_px.min()
@@ -106,7 +123,7 @@ def estimate_relative_pose(
 
 
 def transfer_px(T: SE3, left: BoardPoses, right: BoardPoses, motion: SE3) -> Float[ndarray, "views"]:
-    """RMS miss, pixels, of each right view predicted as ``T T_left_board motion``; NaN where a camera lacks the view."""
+    """RMS pixels of right views under proposals: predicted T_right_board = T T_left_board S⁻¹."""
     both = np.flatnonzero(left.is_usable & right.is_usable)
     out = np.full(len(left.is_usable), np.nan)
     moved = SE3(motion.R.reshape(1, 3, 3), motion.t.reshape(1, 3)).inverse()
@@ -137,7 +154,8 @@ def _with_symmetry(
 ) -> tuple[Float[ndarray, "views 9 9"], Float[ndarray, "views 3 3"], PlaneFrame]:
     """Right quadratic forms rewritten for the pose ``T_right_board S``: h(pose S⁻¹) is linear in h(pose).
 
-    A symmetry maps the plane onto itself, so on (x, y, 1) it is a 3x3 matrix A, and [s r1, s r2, t] changes by A from the right.
+    A symmetry maps the plane onto itself, so on (x, y, 1) it is a 3x3 matrix A, and [s r1, s r2, t] changes by A from
+    the right.
     """
     frame = right.frame
     inverse = S.inverse()
@@ -153,10 +171,15 @@ def _with_symmetry(
 
 
 def _refine(
-    T: SE3, L: SE3, left: BoardPoses, right_form: tuple[ndarray, ndarray, PlaneFrame], both: ndarray, agrees: ndarray,
+    T: SE3,
+    L: SE3,
+    left: BoardPoses,
+    right_form: tuple[ndarray, ndarray, PlaneFrame],
+    both: ndarray,
+    agrees: ndarray,
     n_iterations: int,
 ) -> tuple[SE3, ndarray, ndarray, ndarray]:
-    """T_right_left and board poses by Gauss-Newton, the agreeing views' only for T; and each view's RMS over both cameras."""
+    """T_right_left (agreeing views) and board poses by Gauss-Newton; each view's RMS over both cameras."""
     fit_R, turn_R, frame = right_form
     fit_L, turn_L = left.fit[both], left.turn[both]
     n_corners = left.n_corners[both]
@@ -166,7 +189,9 @@ def _refine(
     def evaluate(T_R: ndarray, T_t: ndarray, R: ndarray, t: ndarray) -> tuple[ndarray, ndarray, ndarray]:
         h_L = pose_vector(turn_L @ R, (turn_L @ t[..., None])[..., 0], frame.scale)
         h_R = pose_vector(turn_R @ (T_R @ R), (turn_R @ (t @ T_R.T + T_t)[..., None])[..., 0], frame.scale)
-        cost = np.sum(h_L * (fit_L @ h_L[..., None])[..., 0], axis=-1) + np.sum(h_R * (fit_R @ h_R[..., None])[..., 0], axis=-1)
+        cost = np.sum(h_L * (fit_L @ h_L[..., None])[..., 0], axis=-1) + np.sum(
+            h_R * (fit_R @ h_R[..., None])[..., 0], axis=-1
+        )
         return h_L, h_R, np.maximum(cost, 0.0)
 
     T_R, T_t = T.R, T.t

@@ -29,8 +29,8 @@ _CANDIDATES = (
 class BoardSymmetries:
     """Rigid motions of the board onto itself, the identity first.
 
-    ``order[k]`` lists, for each point j, the point that motion k takes it to: ``motions[k].apply(X[j]) == X[order[k][j]]``.
-    A mirror image in the plane is a half turn about an axis in the plane.
+    ``order[k]`` lists, for each point j, the point that motion k takes it to: ``motions[k].apply(X[j]) ==
+    X[order[k][j]]``. A mirror image in the plane is a half turn about an axis in the plane.
     """
 
     names: tuple[str, ...]
@@ -74,7 +74,7 @@ def board_symmetries(object_points: Float[ndarray, "n d"]) -> BoardSymmetries:
 
 
 def transposed_order(object_points: Float[ndarray, "n d"]) -> Int[ndarray, "n"] | None:
-    """For a full grid stored row by row: which point the k-th corner is if the corners come column by column; None for other boards."""
+    """Which point of a full grid the k-th corner is if corners come column by column; None for other boards."""
     xy = np.asarray(object_points, dtype=float)[:, :2]
     size = float(np.ptp(xy, axis=0).max()) or 1.0
     keys = np.round(xy / (1e-6 * size)).astype(np.int64)

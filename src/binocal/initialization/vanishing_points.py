@@ -1,13 +1,14 @@
 """Intrinsics from vanishing points of board views (the paper's section 3.2.1, eqs 7-12).
 
-The two edge directions of a board have the vanishing points g = h1, h = h2, the first two columns of its homography, its two
-diagonals h1 + h2 and h1 - h2. Each pair belongs to orthogonal directions, so with the image of the absolute conic
-ω = K⁻ᵀ K⁻¹ (eqs 9, 10):
+The two edge directions of a board have the vanishing points g = h1, h = h2, the first two columns of its homography,
+its two diagonals h1 + h2 and h1 - h2. Each pair belongs to orthogonal directions, so with the image of the absolute
+conic ω = K⁻ᵀ K⁻¹ (eqs 9, 10):
 
     h1ᵀ ω h2 = 0,    (h1 + h2)ᵀ ω (h1 - h2) = h1ᵀ ω h1 - h2ᵀ ω h2 = 0.
 
-Three views determine five linear parameters, two determine four (no skew), one the focal length with a centred principal point.
-The linear solution is then polished by weighting both constraints of a view by their covariance, with a robust weight per view.
+Three views determine five linear parameters, two determine four (no skew), one the focal length with a centred
+principal point. The linear solution is then polished by weighting both constraints of a view by their covariance,
+with a robust weight per view.
 
 Coordinates here are pixels relative to the assumed centre, divided by half the picture's diagonal (``unit``).
 """
@@ -35,10 +36,11 @@ _REMEDY = "tilt the board 20-45 deg about both axes in at least 3 views"
 class VanishingEstimate:
     """Pinhole matrix in unit coordinates, and how far it can be trusted.
 
-    ``freedom`` counts the linear parameters that the closed form could determine: 5, 4, 3 (centred), 1 (centred, fx = fy).
-    ``residuals`` are both constraints of each view in standard deviations, ``weights`` the views' robust weights,
-    ``singular_values`` those of the linear system, ascending, relative to the largest; ``sigma_log_focal`` the relative standard
-    deviation of the focal length, from views whose tilt is significant; ``sigma_centre`` that of the principal point in half diagonals.
+    ``freedom`` counts the linear parameters that the closed form could determine: 5, 4, 3 (centred), 1 (centred, fx =
+    fy). ``residuals`` are both constraints of each view in standard deviations, ``weights`` the views' robust
+    weights, ``singular_values`` those of the linear system, ascending, relative to the largest; ``sigma_log_focal``
+    the relative standard deviation of the focal length, from views whose tilt is significant; ``sigma_centre`` that
+    of the principal point in half diagonals.
     """
 
     K: Float[ndarray, "3 3"]
@@ -69,13 +71,17 @@ def solve_conic(
 ) -> tuple[Float[ndarray, "3 3"] | None, Float[ndarray, "k"]]:
     """K of the vanishing-point constraints, or None where ω is not positive definite; and the system's singular values.
 
-    ``freedom``: 5 all of K; 4 no skew; 3 no skew, centred principal point taken as a half step (fx, fy: two numbers); 1 fx = fy, centred.
-    The focal length of ``freedom`` 3 and 1 follows from ω = diag(1/fx², 1/fy², 1). Source: eqs 9, 10; Zhang 2000, appendix B.
+    ``freedom``: 5 all of K; 4 no skew; 3 no skew and a centred principal point; 1 fx = fy too.
+    The focal length of ``freedom`` 3 and 1 follows from ω = diag(1/fx², 1/fy², 1). Source: eqs 9,
+    10; Zhang 2000, appendix B.
     """
     h1, h2 = columns[..., 0], columns[..., 1]
     size = np.sqrt(np.sum(h1 * h1, axis=-1) + np.sum(h2 * h2, axis=-1))
     h1, h2 = h1 / size[:, None], h2 / size[:, None]
-    rows = np.concatenate([conic_rows(h1, h2), (conic_rows(h1, h1) - conic_rows(h2, h2)) / 2]) * np.r_[weights, weights][:, None]
+    rows = (
+        np.concatenate([conic_rows(h1, h2), (conic_rows(h1, h1) - conic_rows(h2, h2)) / 2])
+        * np.r_[weights, weights][:, None]
+    )
     if freedom == 5:
         system = rows
     elif freedom == 4:
@@ -100,7 +106,7 @@ def solve_conic(
 
 
 def _pinhole_of_conic(omega: Float[ndarray, "6"]) -> Float[ndarray, "3 3"] | None:
-    """K with K33 = 1 from ω = K⁻ᵀ K⁻¹ up to scale, by Cholesky; None where ω is indefinite or K leaves the plausible range."""
+    """K with K33 = 1 from ω = K⁻ᵀ K⁻¹ up to scale, by Cholesky; None where ω is indefinite or K implausible."""
     W = omega[np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])]
     try:
         lower = np.linalg.cholesky(W if np.trace(W) > 0 else -W)
@@ -123,11 +129,12 @@ def estimate_pinhole(
     has_skew: bool = False,
     log_focal: tuple[float, float] | None = None,
 ) -> VanishingEstimate:
-    """K from the first two columns of each view's homography and their covariance, order (h11, h21, h31, h12, h22, h32).
+    """K from the first two columns of the homographies and their covariance, order (h11, h21, h31, h12, h22, h32).
 
-    The closed form is tried with as many parameters as the views can carry and falls back, loudly (``notes``), to fewer. The polish
-    minimises the squared constraints in standard deviations under weak priors: principal point within ``sigma_centre`` of the origin,
-    fx / fy within 20 % of 1, and ``log_focal`` (value, sigma) where another camera vouches for it; where the views speak, the priors are silent. One weight per view (Cauchy) tames bad views.
+    The closed form is tried with as many parameters as the views can carry and falls back, loudly (``notes``), to
+    fewer. The polish minimises the squared constraints in standard deviations under weak priors: principal point
+    within ``sigma_centre`` of the origin, fx / fy within 20 % of 1, and ``log_focal`` (value, sigma) where another
+    camera vouches for it; where the views speak, the priors are silent. One weight per view (Cauchy) tames bad views.
 
     Raises:
         TooFewViewsError: No view at all.
@@ -168,7 +175,9 @@ def estimate_pinhole(
         best = min(best, other, key=lambda result: result[0])
     _, theta, residuals, weights, information = best
     sigma_log_focal, centre = _uncertainty(theta, columns, covariance, information, n_views)
-    return VanishingEstimate(_unpack(theta), freedom, residuals, weights, singular, sigma_log_focal, centre, tuple(notes))
+    return VanishingEstimate(
+        _unpack(theta), freedom, residuals, weights, singular, sigma_log_focal, centre, tuple(notes)
+    )
 
 
 def _pack(K: Float[ndarray, "3 3"]) -> Float[ndarray, "5"]:
@@ -194,7 +203,7 @@ def _back_project(theta: Float[ndarray, "*batch 5"], columns: ndarray) -> tuple[
 
 
 def _constraints(theta: Float[ndarray, "*batch 5"], columns: ndarray) -> ndarray:
-    """Cosine between the edge directions, and their relative difference in length (= cosine of the diagonals), (*batch, views, 2)."""
+    """Cosines between the edge directions and between the diagonals, (*batch, views, 2)."""
     A, _, _ = _back_project(theta, columns)
     a, b = A[..., 0], A[..., 1]
     aa, bb = np.sum(a * a, axis=-1), np.sum(b * b, axis=-1)
@@ -206,7 +215,9 @@ def _whitener(theta: Float[ndarray, "*batch 5"], columns: ndarray, covariance: n
     A, inverse, _ = _back_project(theta, columns)
     size = np.sum(A * A, axis=(-1, -2))[..., None, None]
     a_K, b_K = A.swapaxes(-1, -2)[..., :1, :] @ inverse, A.swapaxes(-1, -2)[..., 1:, :] @ inverse
-    J = np.concatenate([np.concatenate([b_K, a_K], axis=-1), np.concatenate([a_K, -b_K], axis=-1)], axis=-2) * (2 / size)
+    J = np.concatenate([np.concatenate([b_K, a_K], axis=-1), np.concatenate([a_K, -b_K], axis=-1)], axis=-2) * (
+        2 / size
+    )
     C = J @ covariance @ J.swapaxes(-1, -2)
     # (1e-5)² stands for what no covariance knows: unmodelled distortion, an uneven board
     p, q, r = C[..., 0, 0] + 1e-10, C[..., 0, 1], C[..., 1, 1] + 1e-10
@@ -241,10 +252,14 @@ def _scan_focal(columns: ndarray, covariance: ndarray) -> Float[ndarray, "3 3"]:
 
 
 def _polish(
-    theta: Float[ndarray, "5"], columns: ndarray, covariance: ndarray, sigma_centre: ndarray, has_skew: bool,
+    theta: Float[ndarray, "5"],
+    columns: ndarray,
+    covariance: ndarray,
+    sigma_centre: ndarray,
+    has_skew: bool,
     log_focal: tuple[float, float] | None,
 ) -> tuple[float, ndarray, ndarray, ndarray, ndarray]:
-    """Robust cost, parameters, whitened residuals, view weights and information (priors left out) after Gauss-Newton."""
+    """Robust cost, parameters, whitened residuals, view weights and information (without priors) of Gauss-Newton."""
     n_free = 5 if has_skew else 4
     theta = theta.copy()
     if not has_skew:
@@ -274,7 +289,9 @@ def _polish(
     residuals, _ = _whitened(theta, columns, covariance)
     weights = _view_weights(residuals)
     scale2 = max(1.0, float(np.median(np.sum(residuals**2, axis=-1))) / 1.386)
-    cost = float(np.sum(np.log1p(np.sum(residuals**2, axis=-1) / 9)) * 9 + np.sum(prior * (theta[:n_free] - prior_mean) ** 2))
+    cost = float(
+        np.sum(np.log1p(np.sum(residuals**2, axis=-1) / 9)) * 9 + np.sum(prior * (theta[:n_free] - prior_mean) ** 2)
+    )
     return cost, theta, residuals, weights, information / scale2
 
 
@@ -307,17 +324,21 @@ def _hat(a: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
 def _uncertainty(
     theta: ndarray, columns: ndarray, covariance: ndarray, information: ndarray, n_views: int
 ) -> tuple[float, Float[ndarray, "2"]]:
-    """Relative sigma of the focal length (principal point and aspect marginalised under weak priors) and of the principal point.
+    """Relative sigma of the focal length (all else marginalised under weak priors), and sigma of the principal point.
 
     Information that comes from noise alone does not count: it is scaled by the share of the tilt that exceeds 3 sigma.
     """
     slopes, C = board_slopes(_unpack(theta), columns, covariance)
     with np.errstate(all="ignore"):
-        significance = np.sum(slopes[:, None, :] @ np.linalg.inv(C + 1e-12 * np.eye(2)) @ slopes[..., None], axis=(-1, -2))
+        significance = np.sum(
+            slopes[:, None, :] @ np.linalg.inv(C + 1e-12 * np.eye(2)) @ slopes[..., None], axis=(-1, -2)
+        )
     share = float(np.mean(np.maximum(0.0, 1 - 9 / np.maximum(np.nan_to_num(significance), 1e-9))))
     weak_prior = np.r_[0.0, 1 / 0.05**2, 1 / 0.15**2, 1 / 0.15**2, 1 / 0.01**2][: len(information)]
     C = np.linalg.inv(information * share + np.diag(weak_prior + 1e-2))
-    free = np.linalg.inv(information * share + np.diag(np.r_[1e-2, 1 / 0.05**2, 1e-2, 1e-2, 1 / 0.01**2][: len(information)]))
+    free = np.linalg.inv(
+        information * share + np.diag(np.r_[1e-2, 1 / 0.05**2, 1e-2, 1e-2, 1 / 0.01**2][: len(information)])
+    )
     return float(np.sqrt(C[0, 0])), np.sqrt(np.diag(free)[2:4])
 
 
@@ -326,8 +347,9 @@ def check_orientations(
 ) -> None:
     """Refuse sets of views from which no pinhole matrix follows: all fronto-parallel, or all parallel to each other.
 
-    The decision is statistical: the scatter of the boards' slopes against the covariance that the corners' own residuals give
-    them, so that a weak but honest set passes. ``n_distinct``: number of views left when repeated poses count once.
+    The decision is statistical: the scatter of the boards' slopes against the covariance that the corners' own
+    residuals give them, so that a weak but honest set passes. ``n_distinct``: number of views left when repeated
+    poses count once.
 
     Raises:
         DegenerateGeometryError: Named set, and what to add.
@@ -351,8 +373,13 @@ def check_orientations(
     spread_deg = float(np.degrees(np.sqrt(np.median(np.sum(d * d, axis=-1)))))
     if spread < 6.0:  # median of chi-square with 2 degrees of freedom, relative: 1 is pure noise
         centre_weight = float(mean @ weight.sum(axis=0) @ mean) / len(slopes)
-        which = "parallel to the image plane" if tilt_deg < 5 or centre_weight < 6 else f"parallel to each other (tilt {tilt_deg:.0f} deg)"
+        which = (
+            "parallel to the image plane"
+            if tilt_deg < 5 or centre_weight < 6
+            else f"parallel to each other (tilt {tilt_deg:.0f} deg)"
+        )
         raise DegenerateGeometryError(
-            f"all boards seen by the {camera} camera are {which} within the noise (orientations scatter by {spread_deg:.2g} deg): "
+            f"all boards seen by the {camera} camera are {which} within the noise (orientations scatter by "
+            f"{spread_deg:.2g} deg): "
             f"focal length and principal point are undetermined; {_REMEDY}."
         )

@@ -16,8 +16,9 @@ _NOISE = ((4, 0.5), (12, 0.3), (60, 0.12))  # cells across the picture, share of
 def draw_background(
     size_wh: tuple[int, int], rng: np.random.Generator, *, level: float, contrast: float
 ) -> Float[ndarray, "h w"]:
-    """Grey levels (0-255, float32): filled polygons, slanted rectangles, ellipses and lines under smooth noise; no second regular grid.
+    """Grey levels (0-255, float32) of polygons, rectangles, ellipses and lines under smooth noise.
 
+    There is no second regular grid.
     ``level`` is the mean grey level, ``contrast`` the spread of the objects' levels (0: a plain wall).
     """
     import cv2
@@ -34,12 +35,16 @@ def draw_background(
         kind = rng.integers(4)
         if kind == 0:
             angle = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 8)))
-            ring = centre + size * np.stack([np.cos(angle), np.sin(angle)], axis=-1) * rng.uniform(0.5, 1, (len(angle), 1))
+            ring = centre + size * np.stack([np.cos(angle), np.sin(angle)], axis=-1) * rng.uniform(
+                0.5, 1, (len(angle), 1)
+            )
             cv2.fillPoly(picture, [_fixed(ring, shift)], grey, cv2.LINE_AA, shift)
         elif kind == 1:
             half = size * np.array([rng.uniform(0.4, 1.6), rng.uniform(0.2, 1.0)])
             cosine, sine = np.cos(turn := rng.uniform(-0.4, 0.4)), np.sin(turn)
-            corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ np.array([[cosine, sine], [-sine, cosine]])
+            corners = (
+                np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ np.array([[cosine, sine], [-sine, cosine]])
+            )
             cv2.fillPoly(picture, [_fixed(centre + corners, shift)], grey, cv2.LINE_AA, shift)
         elif kind == 2:
             axes = _fixed(size * rng.uniform(0.3, 1.0, 2), shift)

@@ -28,10 +28,10 @@ def shift_view_by_row(
     side: Side = "left",
     vacated: Literal["extrapolate", "wrap", "missing"] = "extrapolate",
 ) -> Detections:
-    """Numbers a view's corners one grid row too low, as a detector does that took a fake row at the board's rim for the first one.
+    """Numbers a view's corners one grid row too low, as a detector does that took the board's rim for its first row.
 
-    Corner (row, column) gets the pixel of (row + 1, column). The last row, which has no successor, is extrapolated in line (hardest to
-    notice), wraps round to the first row, or is missing.
+    Corner (row, column) gets the pixel of (row + 1, column). The last row, which has no successor, is extrapolated
+    in line (hardest to notice), wraps round to the first row, or is missing.
     """
     columns, rows = _grid(board)
     px = _px(detections, side)[view].reshape(rows, columns, 2)

@@ -1,8 +1,8 @@
-"""The printed board as a point of the picture sees it through a Gaussian of ``spread_px``: band-limited, so that it can be sampled.
+"""The printed board through a Gaussian of ``spread_px``: band-limited, so that it can be sampled.
 
-Inputs are board coordinates in pitches and their derivatives by the pixel coordinates. An edge of the print is straight within the
-Gaussian, which is then exact: the normal distribution of the distance in pixels. Reflectance is 1 on white paper, 0 on ink and off the sheet;
-coverage is 1 on the sheet, 0 off it.
+Inputs are board coordinates in pitches and their derivatives by the pixel coordinates. An edge of the print is
+straight within the Gaussian, which is then exact: the normal distribution of the distance in pixels. Reflectance is
+1 on white paper, 0 on ink and off the sheet; coverage is 1 on the sheet, 0 off it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprint:
-    """Where points of the picture lie on the board: x, y (pitches) and derivatives by pixel u, v; arrays that broadcast."""
+    """Where points of the picture lie on the board: x, y (pitches), derivatives by u, v; they broadcast."""
 
     x: ndarray
     y: ndarray
@@ -37,7 +37,7 @@ class Sheet(Protocol):
     """A printed sheet of paper."""
 
     def classify(self, at: Footprint, reach_x: ndarray, reach_y: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-        """Reflectance and coverage at the points, and whether both are constant within the reach (pitches) around them."""
+        """Reflectance and coverage at the points, and whether both are constant within the reach (pitches)."""
         ...
 
     def spread(self, at: Footprint, spread_px: float) -> tuple[ndarray, ndarray]:
@@ -69,18 +69,22 @@ class CellSheet:
         """See :class:`Sheet`."""
         x0, x1 = self._x.index(at.x - reach_x), self._x.index(at.x + reach_x)
         y0, y1 = self._y.index(at.y - reach_y) * self._stride, self._y.index(at.y + reach_y) * self._stride
-        # paper and ink differ in reflectance, ink and no sheet never touch: equal reflectance at the four ends means one surface
+        # paper differs from ink and from no sheet, which never touch: equal at the four ends means one surface
         reflectance = self._reflectance.ravel()
         value = reflectance[y0 + x0]
-        is_constant = (value == reflectance[y0 + x1]) & (value == reflectance[y1 + x0]) & (value == reflectance[y1 + x1])
+        is_constant = (
+            (value == reflectance[y0 + x1]) & (value == reflectance[y1 + x0]) & (value == reflectance[y1 + x1])
+        )
         is_constant &= (x1 - x0 <= 1) & (y1 - y0 <= self._stride)
         return value, self._coverage.ravel()[y0 + x0], is_constant
 
     def spread(self, at: Footprint, spread_px: float) -> tuple[ndarray, ndarray]:
-        """See :class:`Sheet`. Looks at the nearest edge of each direction: exact to 1e-4 where cells are at least 8 spreads wide.
+        """See :class:`Sheet`. Looks at the nearest edge of each direction.
 
-        Where two edges cross, their distances are jointly normal; the joint distribution is the tetrachoric series to third
-        order in the correlation. Source: Pearson 1900, "On the correlation of characters not quantitatively measurable".
+        Exact to 1e-4 where cells are at least 8 spreads wide.
+        Where two edges cross, their distances are jointly normal; the joint distribution is the tetrachoric series
+        to third order in the correlation. Source: Pearson 1900, "On the correlation of characters not
+        quantitatively measurable".
         """
         from scipy.special import ndtr
 
@@ -111,7 +115,9 @@ class DiscSheet:
     def __init__(self, discs: DiscPrint, board: Board) -> None:
         x0, y0, x1, y1 = np.array(printed_extent_m(board)) / board.pitch_m
         self._discs = discs
-        self._paper = CellSheet(CellPrint(np.array([x0, x1]), np.array([y0, y1]), np.zeros((1, 1), dtype=int)), sheet_margin(board))
+        self._paper = CellSheet(
+            CellPrint(np.array([x0, x1]), np.array([y0, y1]), np.zeros((1, 1), dtype=int)), sheet_margin(board)
+        )
 
     def _from_nearest(self, at: Footprint) -> tuple[ndarray, ndarray, ndarray]:
         """Offset x, y from the nearest disc's centre, and the distance."""
@@ -130,7 +136,7 @@ class DiscSheet:
         return paper * (distance > 0), coverage, is_constant
 
     def spread(self, at: Footprint, spread_px: float) -> tuple[ndarray, ndarray]:
-        """See :class:`Sheet`. The rim is taken as straight: right to spread_px² / (2 radius), alike on opposite sides."""
+        """See :class:`Sheet`. Takes the rim as straight: right to spread_px² / (2 radius), alike all round."""
         from scipy.special import ndtr
 
         paper, coverage = self._paper.spread(at, spread_px)

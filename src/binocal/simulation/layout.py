@@ -1,13 +1,15 @@
 """What is printed on each kind of board, as cells and discs in the board frame, in pitches.
 
-One square of white paper surrounds the outer squares of a chessboard; the other kinds have margins that a detector needs.
-Conventions, each held against OpenCV or Kalibr by a test:
+One square of white paper surrounds the outer squares of a chessboard; the other kinds have margins that a detector
+needs. Conventions, each held against OpenCV or Kalibr by a test:
 
 - chessboard: the outer square at the board's top left is black.
-- ChArUco: OpenCV's ``CharucoBoard``; its top-left square is black, in the legacy layout with an even number of rows white.
-- AprilGrid: Kalibr's sheet: tags with ``border_bits`` (Kalibr: 2) cells of black around 6 x 6 data cells, all within ``pitch_m``; black squares
-  as wide as the gap at the tags' corners; ids grow to the right and upward from the bottom-left tag; tags upright as in the AprilTag
-  project's own pictures. OpenCV's ``DICT_APRILTAG_36h11`` holds them turned by 180° in 4.x and 5.0.
+- ChArUco: OpenCV's ``CharucoBoard``; its top-left square is black, in the legacy layout with an even number of rows
+  white.
+- AprilGrid: Kalibr's sheet: tags with ``border_bits`` (Kalibr: 2) cells of black around 6 x 6 data cells, all
+  within ``pitch_m``; black squares as wide as the gap at the tags' corners; ids grow to the right and upward from
+  the bottom-left tag; tags upright as in the AprilTag project's own pictures. OpenCV's ``DICT_APRILTAG_36h11``
+  holds them turned by 180° in 4.x and 5.0.
 - circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours.
 """
 
@@ -24,7 +26,9 @@ from binocal.boards import Board
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_TAG36H11_ID0 = 0xD5D628584  # the family's first code word; read row by row, lowest bit first, it is the tag turned by 180°
+_TAG36H11_ID0 = (
+    0xD5D628584  # the family's first code word; read row by row, lowest bit first, it is the tag turned by 180°
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +52,7 @@ class DiscPrint:
 
 
 def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
-    """x0, y0, x1, y1 of the smallest rectangle around everything printed, in the board frame, metres (pitches if not metric)."""
+    """x0, y0, x1, y1 of the rectangle around all print, in the board frame, metres (pitches if not metric)."""
     if board.kind == "chessboard":
         box = (-1.0, -1.0, board.columns, board.rows)
     elif board.kind == "charuco":
@@ -122,7 +126,8 @@ def _aprilgrid_print(board: Board, border_bits: int) -> CellPrint:
     dictionary = _aruco_dictionary("DICT_APRILTAG_36h11")
     code = np.array([[(_TAG36H11_ID0 >> (6 * i + j)) & 1 for j in range(6)] for i in range(6)])
     first = 1 - _marker_ink(dictionary, 0, "DICT_APRILTAG_36h11")[1:-1, 1:-1]
-    turns = 2 if np.array_equal(first, code) else 0  # OpenCV may one day turn its dictionary to the AprilTag project's side
+    # OpenCV holds the family upside down, but later versions may turn it
+    turns = 2 if np.array_equal(first, code) else 0
     assert turns or np.array_equal(first, np.rot90(code, 2)), "OpenCV's tag36h11 is neither upright nor upside down"
     n_cells, gap = 6 + 2 * border_bits, board.tag_gap_ratio
     block = n_cells + 1  # a gap, then the tag's cells
@@ -135,12 +140,14 @@ def _aprilgrid_print(board: Board, border_bits: int) -> CellPrint:
         tag[border_bits:-border_bits, border_bits:-border_bits] = np.rot90(data, turns)
         ink[row * block + 1 : (row + 1) * block, column * block + 1 : (column + 1) * block] = tag
     inside = np.r_[-gap, np.arange(n_cells) / n_cells]
-    edges = [np.r_[(np.arange(n)[:, None] * (1 + gap) + inside).ravel(), n * (1 + gap) - gap, n * (1 + gap)] for n in
-             (board.columns, board.rows)]
+    edges = [
+        np.r_[(np.arange(n)[:, None] * (1 + gap) + inside).ravel(), n * (1 + gap) - gap, n * (1 + gap)]
+        for n in (board.columns, board.rows)
+    ]
     return CellPrint(edges[0], edges[1], ink)
 
 
-def _aruco_dictionary(name: str):  # noqa: ANN202 - cv2's types are not imported here
+def _aruco_dictionary(name: str):
     import cv2
 
     if not hasattr(cv2.aruco, name):
@@ -148,7 +155,7 @@ def _aruco_dictionary(name: str):  # noqa: ANN202 - cv2's types are not imported
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def _marker_ink(dictionary, marker_id: int, name: str) -> Int[ndarray, "cells cells"]:  # noqa: ANN001
+def _marker_ink(dictionary, marker_id: int, name: str) -> Int[ndarray, "cells cells"]:
     """Cells of a marker with a black border of one cell; 1 is black."""
     import cv2
 

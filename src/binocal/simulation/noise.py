@@ -1,4 +1,4 @@
-"""Detections of a scene as a detector would return them: exact projections, then noise, outliers and missing corners."""
+"""Detections as a detector would return them: exact projections, then noise, outliers, missing corners."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def simulate_detections(
 ) -> Detections:
     """Corners of every view in both cameras.
 
-    ``noise_px`` is the standard deviation of each coordinate (Gaussian, independent). ``outlier_share`` of the seen corners of each camera are
-    moved by ``outlier_px`` in a random direction; ``missing_share`` of them are NaN. Points outside a picture are NaN. The same
-    generator state draws the same noise whatever the shares are.
+    ``noise_px`` is the standard deviation of each coordinate (Gaussian, independent). ``outlier_share`` of the seen
+    corners of each camera are moved by ``outlier_px`` in a random direction; ``missing_share`` of them are NaN.
+    Points outside a picture are NaN. The same generator state draws the same noise whatever the shares are.
 
     Raises:
         ValueError: A share is outside [0, 1], or a standard deviation is negative.
@@ -52,10 +52,8 @@ def simulate_detections(
     return detections
 
 
-def add_outliers(
-    detections: Detections, rng: np.random.Generator, *, share: float, distance_px: float
-) -> Detections:
-    """Moves that share of each camera's seen corners (rounded to a whole number of corners) by ``distance_px``, each its own way."""
+def add_outliers(detections: Detections, rng: np.random.Generator, *, share: float, distance_px: float) -> Detections:
+    """Moves that share of each camera's seen corners (a whole number of them) by ``distance_px``, each its own way."""
 
     def move(px: Float[ndarray, "views n 2"]) -> Float[ndarray, "views n 2"]:
         picked = _pick(px, rng, share)

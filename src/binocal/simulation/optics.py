@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BlurKernel:
-    """A blur in pixels: a Gaussian, a disc and a straight motion, one after the other; ``reach_px`` covers all three."""
+    """A blur in pixels: a Gaussian, a disc and a straight motion, one after the other."""
 
     gaussian_px: float
     disc_px: float
@@ -32,7 +32,7 @@ class BlurKernel:
 
 
 def blur_kernel(blur_px: float, kind: str, motion_px: tuple[float, float], *, least_px: float) -> BlurKernel:
-    """The blur of a lens (Gaussian sigma, or radius of a disc) and of a motion; the Gaussian is never below ``least_px``."""
+    """The blur of a lens (Gaussian sigma, or disc radius) and a motion; the Gaussian is at least ``least_px``."""
     gaussian, disc = (max(blur_px, least_px), 0.0) if kind == "gaussian" else (least_px, blur_px)
     return BlurKernel(gaussian, disc, (float(motion_px[0]), float(motion_px[1])))
 

@@ -1,14 +1,15 @@
 """Pictures of boards with exactly known corners.
 
-Light is followed in the order in which a camera meets it: print and illumination, the lens's blur, integration over pixels,
-the sensor. The blur is applied on a grid of 4 x 4 points per pixel; blurring pixel values instead would shift corners by up to
-0.006 px. The ray of every pixel goes through the full camera model to the board's plane, and its second-order expansion
-carries it to the 16 points. Only pixels at an edge of the print are treated so; all others are constant.
+Light is followed in the order in which a camera meets it: print and illumination, the lens's blur, integration over
+pixels, the sensor. The blur is applied on a grid of 4 x 4 points per pixel; blurring pixel values instead would
+shift corners by up to 0.006 px. The ray of every pixel goes through the full camera model to the board's plane, and
+its second-order expansion carries it to the 16 points. Only pixels at an edge of the print are treated so; all
+others are constant.
 
-The first 0.14 px of the blur act on the print analytically (:mod:`binocal.simulation.coverage`): what is sampled on the fine grid is then
-band-limited (2e-3 of an edge's light at the sampling frequency; cells' means, the obvious other way, leave errors of 0.5 grey
-levels and 0.001 px at a blur of 0.4 px). The Gaussian that is left to do is sigma² - 0.14² + (1/4)²/12, the last term because
-the mean of four points is narrower than a pixel.
+The first 0.14 px of the blur act on the print analytically (:mod:`binocal.simulation.coverage`): what is sampled on
+the fine grid is then band-limited (2e-3 of an edge's light at the sampling frequency; cells' means, the obvious
+other way, leave errors of 0.5 grey levels and 0.001 px at a blur of 0.4 px). The Gaussian that is left to do is
+sigma² - 0.14² + (1/4)²/12, the last term because the mean of four points is narrower than a pixel.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class RenderOptions:
     """Light, lens and sensor. Grey levels are those of an 8-bit picture (0-255) whatever the bit depth."""
 
     blur_px: float = 0.8
-    """Gaussian: standard deviation, at least 0.14 px (less is rendered as 0.14: no lens is sharper). Disc: radius, with that same
-    Gaussian of 0.14 px on top. Pixel integration comes on top of both."""
+    """Gaussian: standard deviation, at least 0.14 px (less is rendered as 0.14: no lens is sharper).
+    Disc: radius, with that same Gaussian of 0.14 px on top. Pixel integration comes on top of both."""
     blur_kind: Literal["gaussian", "disc"] = "gaussian"
     motion_px: tuple[float, float] = (0.0, 0.0)
     """How far the image moves during the exposure, x and y; corners are those of its middle."""
@@ -55,11 +56,11 @@ class RenderOptions:
     white_dn: float = 210.0
     """Grey level of paper in full light."""
     shading: tuple[float, float] = (0.0, 0.0)
-    """Change of the light across the printed pattern, along the board's x and y, as a share of its value in the middle."""
+    """Change of the light across the print, along the board's x and y, as a share of its value in the middle."""
     vignetting: float = 0.0
     """Share of the light that is lost in the picture's corner; grows with the square of the radius."""
     gamma: float = 1.0
-    """Exponent that the camera undoes when encoding: grey = 255 (light / 255)^(1 / gamma); 2.2 for a consumer camera."""
+    """Encoding: grey = 255 (light / 255)^(1 / gamma); 2.2 for a consumer camera."""
     clutter_dn: float = 35.0
     """Contrast of what stands behind the board; 0 is a plain wall."""
     background_dn: float = 110.0
@@ -126,7 +127,7 @@ def render_light(
     kernel = blur_kernel(options.blur_px, options.blur_kind, options.motion_px, least_px=_SPREAD_PX)
     rest = kernel.without(_SPREAD_PX**2 - 1 / (12 * _FINE**2))
     apron = 8 * (kernel.reach_px // 8 + 1)  # steps of 8, so that the rays serve other blurs too
-    rays = _ray_map(camera, apron)
+    rays = _cached_rays(camera.model, camera.size_wh, camera.parameters.tobytes(), apron)
     light = blur_picture(
         draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn), kernel, scale=1
     )
@@ -144,18 +145,23 @@ def render_light(
         coverage = blur_picture(coverage, kernel, scale=1)
         # the apron is the part of the scene beyond the picture that the blur carries in
         first_row, first_column = rows.start - 1 - apron, columns.start - 1 - apron
-        inside = np.s_[max(-first_row, 0) : camera.size_wh[1] - first_row, max(-first_column, 0) : camera.size_wh[0] - first_column]
+        inside = np.s_[
+            max(-first_row, 0) : camera.size_wh[1] - first_row, max(-first_column, 0) : camera.size_wh[0] - first_column
+        ]
         board_light, coverage = board_light[inside], coverage[inside]
-        target = np.s_[max(first_row, 0) : max(first_row, 0) + coverage.shape[0],
-                       max(first_column, 0) : max(first_column, 0) + coverage.shape[1]]
+        target = np.s_[
+            max(first_row, 0) : max(first_row, 0) + coverage.shape[0],
+            max(first_column, 0) : max(first_column, 0) + coverage.shape[1],
+        ]
         light[target] = board_light + (1 - coverage) * light[target]
     return _through_lens(light, camera, rays[2, apron + 1 : -apron - 1, apron + 1 : -apron - 1], options.vignetting)
 
 
 @lru_cache(maxsize=2)  # a stereo pair; 30 MB each at 1280 x 960
-def _ray_map(camera: Camera, apron: int) -> Float[ndarray, "3 h w"]:
-    """Unit ray of every pixel, of ``apron`` pixels around the picture, and of one more for derivatives; NaN where there is none."""
-    width, height = camera.size_wh
+def _cached_rays(model: str, size_wh: tuple[int, int], parameters: bytes, apron: int) -> Float[ndarray, "3 h w"]:
+    """Unit ray of every pixel and of ``apron`` + 1 pixels around the picture; NaN where there is none."""
+    camera = Camera(model, size_wh, np.frombuffer(parameters))
+    width, height = size_wh
     rim = apron + 1
     u = np.arange(-rim, width + rim, dtype=float)
     rays = np.empty((3, height + 2 * rim, width + 2 * rim))
@@ -174,9 +180,9 @@ def _cached_sheet(board: Board, is_legacy_charuco: bool, april_border_bits: int)
 def _sheet_window(
     camera: Camera, T_camera_board: SE3, board: Board, apron: int, reach_px: int
 ) -> tuple[slice, slice] | None:
-    """Rows and columns of the ray map around the sheet, blur included; the whole map where the outline cannot be followed.
+    """Rows and columns of the ray map around the sheet, blur included; None where it lies outside the picture.
 
-    None where the sheet lies outside the picture.
+    The whole map where the outline leaves the camera's field and cannot be followed.
     """
     width, height = camera.size_wh
     rim = apron + 1
@@ -216,7 +222,10 @@ def _sample_board(
     ]
     reflectance, coverage, is_constant = sheet.classify(at, *reach)
     coverage = np.where(is_off, np.float32(0), coverage)
-    light = np.float32(options.white_dn - options.black_dn) * reflectance * coverage + np.float32(options.black_dn) * coverage
+    light = (
+        np.float32(options.white_dn - options.black_dn) * reflectance * coverage
+        + np.float32(options.black_dn) * coverage
+    )
     rows, columns = np.nonzero(~is_constant & ~is_off)
     height, width = coverage.shape
     fine = cv2.resize(light, (width * _FINE, height * _FINE), interpolation=cv2.INTER_NEAREST)
@@ -225,7 +234,9 @@ def _sample_board(
         reflected, covered = sheet.spread(_expand(x, y, *some), _SPREAD_PX)
         coverage[some] = covered.mean(axis=(1, 2))
         reflected *= np.float32(options.white_dn - options.black_dn)
-        fine.reshape(height, _FINE, width, _FINE)[some[0], :, some[1]] = reflected + np.float32(options.black_dn) * covered
+        fine.reshape(height, _FINE, width, _FINE)[some[0], :, some[1]] = (
+            reflected + np.float32(options.black_dn) * covered
+        )
     if any(options.shading):
         x0, y0, x1, y1 = np.array(printed_extent_m(board)) / board.pitch_m
         slope = np.array(options.shading) / [x1 - x0, y1 - y0]
@@ -251,7 +262,7 @@ def _board_coordinates(
 
 
 def _expand(x: Float[ndarray, "h w"], y: Float[ndarray, "h w"], rows: ndarray, columns: ndarray) -> Footprint:
-    """Board coordinates of the 16 points in each listed pixel (n, 4, 4), by second-order expansion over the 3 x 3 neighbourhood."""
+    """Board coordinates (n, 4, 4) of the 16 points in each listed pixel, by expansion to second order."""
     dv, du = _OFFSETS_PX[:, None], _OFFSETS_PX[None, :]
     width = x.shape[1]
     place = (rows + 1) * width + columns + 1

@@ -9,14 +9,14 @@ from binocal.errors import SceneError
 from binocal.geometry import SE3, so3
 
 _SIZES_WH = ((640, 480), (752, 480), (1280, 720), (1280, 960), (1280, 1024))
-_MAX_TRIES = 200  # about one draw in three folds back inside the picture (brown8) and is drawn again
+_MAX_TRIES = 200  # a draw whose distortion folds back inside the picture is drawn again
 
 
 def table2_rig() -> StereoRig:
     """The rig of the paper's table 2: 1280 x 960, 6 mm lenses on 3.75 µm pixels (f = 1600 px), baseline 60 mm.
 
-    The paper states nominal values; the tolerances (focal lengths within 0.3 %, principal points within 15 px, 1.2° of toe-in,
-    Brown-Conrady distortion with 4 coefficients of an ordinary 6 mm lens) are ours.
+    The paper states nominal values; the tolerances (focal lengths within 0.3 %, principal points within 15 px, 1.2°
+    of toe-in, Brown-Conrady distortion with 4 coefficients of an ordinary 6 mm lens) are ours.
     """
     left = Camera("brown4", (1280, 960), np.array([1603.2, 1602.1, 646.8, 473.4, 0.0, -0.112, 0.148, 4.1e-4, -3.2e-4]))
     right = Camera("brown4", (1280, 960), np.array([1597.6, 1598.9, 631.2, 486.1, 0.0, -0.105, 0.131, -2.7e-4, 3.8e-4]))
@@ -36,9 +36,10 @@ def random_rig(
 ) -> StereoRig:
     """A rig with two cameras of one make: equal image size, nominal focal length and lens type, individual tolerances.
 
-    Horizontal field ``field_deg``: 35-75° (Brown-Conrady) or 100-150° (fisheye4) unless given; baseline 50-150 mm; rotation 1.5°
-    (one sigma) about each axis; focal lengths within 1 %, principal points 1.5 % of the width (one sigma) off centre. Distortion moves the
-    corner of the picture by up to 12 % of its radius and never folds back inside the picture.
+    Horizontal field ``field_deg``: 35-75° (Brown-Conrady) or 100-150° (fisheye4) unless given; baseline 50-150 mm;
+    rotation 1.5° (one sigma) about each axis; focal lengths within 1 %, principal points 1.5 % of the width (one
+    sigma) off centre. Distortion moves the corner of the picture by up to 12 % of its radius and never folds back
+    inside the picture.
 
     Raises:
         ValueError: Unknown model, or a field outside 10-100° (Brown-Conrady) or 60-170° (fisheye4).
@@ -53,7 +54,9 @@ def random_rig(
     left, right = (_random_camera(rng, model, size, np.radians(field), has_skew) for _ in range(2))
     baseline = baseline_m if baseline_m is not None else rng.uniform(0.05, 0.15)
     centre = np.array([1.0, rng.normal(0, 0.02), rng.normal(0, 0.02)])
-    return _rig(left, right, so3.exp(np.radians(1.5) * rng.standard_normal(3)), baseline * centre / np.linalg.norm(centre))
+    return _rig(
+        left, right, so3.exp(np.radians(1.5) * rng.standard_normal(3)), baseline * centre / np.linalg.norm(centre)
+    )
 
 
 def _rig(left: Camera, right: Camera, R_right_left: np.ndarray, centre_right_m: np.ndarray) -> StereoRig:
@@ -78,13 +81,17 @@ def _random_camera(
         camera = Camera(model, size_wh, np.r_[fx, fy, cx, cy, skew, distortion])
         if _covers_picture(camera):
             return camera
-    raise SceneError(f"{model} with a field of {np.degrees(field_rad):.0f} deg always folds back inside the picture", 0, 1)
+    raise SceneError(
+        f"{model} with a field of {np.degrees(field_rad):.0f} deg always folds back inside the picture", 0, 1
+    )
 
 
 def _random_distortion(rng: np.random.Generator, model: str, radius: float) -> np.ndarray:
-    """Coefficients scaled by ``radius``, the normalised radius (fisheye: the angle) of the farthest corner of the picture."""
+    """Coefficients scaled by ``radius``, the normalised radius (fisheye: angle) of the picture's farthest corner."""
     if model == "fisheye4":
-        shares = np.array([rng.uniform(-0.06, 0.04), rng.uniform(-0.03, 0.03), rng.normal(0, 0.01), rng.normal(0, 0.005)])
+        shares = np.array(
+            [rng.uniform(-0.06, 0.04), rng.uniform(-0.03, 0.03), rng.normal(0, 0.01), rng.normal(0, 0.005)]
+        )
         return shares / radius ** np.array([2, 4, 6, 8])
     k1 = rng.uniform(-0.12, 0.04)
     k2 = -0.3 * k1 + rng.normal(0, 0.01)  # lenses are corrected: the second term takes back part of the first

@@ -24,7 +24,7 @@ _SHRINKS = np.linspace(1.0, 0.0, 9)  # a candidate at each step from its wanted 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoScene:
-    """A board shown to a rig in ``n_views`` poses; lengths of the rig and of the board share one unit (metres if both are metric)."""
+    """A board shown to a rig in ``n_views`` poses; rig and board share one unit of length (metres if metric)."""
 
     rig: StereoRig
     board: Board
@@ -60,10 +60,10 @@ class PoseOptions:
     """How the board is held. Lengths in pixels, angles in degrees as people state them."""
 
     fill: tuple[float, float] = (0.3, 0.8)
-    """Share of the picture that the printed pattern would fill if it faced the camera (of the width or the height, the larger one).
+    """Share of the picture's width or height, the larger one, that the print would fill if it faced the camera.
     The far end is not always reached: a close board is seen by both cameras only where their fields overlap."""
     tilt_deg: tuple[float, float] = (10.0, 45.0)
-    """Angle between board and image plane (fisheye: and the plane across the line of sight), in all directions in turn."""
+    """Angle between board and image plane (fisheye: the plane across the line of sight), in all directions."""
     roll_deg: float = 15.0
     """Largest turn within the board's own plane."""
     min_visible_share: float = 1.0
@@ -87,8 +87,9 @@ def sample_board_poses(
 ) -> SE3:
     """``T_left_board`` of ``n_views`` poses that both cameras see.
 
-    Places are spread over the picture by a low-discrepancy sequence and pushed outwards as far as both cameras still see the board;
-    tilt, its direction and the distance are stratified over the views. Rejection sampling with at most 24 rounds.
+    Places are spread over the picture by a low-discrepancy sequence and pushed outwards as far as both cameras
+    still see the board; tilt, its direction and the distance are stratified over the views. Rejection sampling with
+    at most 24 rounds.
 
     Raises:
         ValueError: Rig and board differ in their unit of length, or ``n_views`` is negative.
@@ -113,7 +114,9 @@ def sample_board_poses(
             azimuth[todo] = rng.uniform(0, 2 * np.pi, todo.size)
         reach = 1 - attempt / _MAX_ROUNDS  # later rounds hold the board farther away, where it fits more easily
         roll = np.radians(options.roll_deg) * rng.uniform(-1, 1, todo.size)
-        candidates_R, candidates_t = sampler.poses(places[todo], fill_share[todo] * reach, tilt_share[todo], azimuth[todo], roll)
+        candidates_R, candidates_t = sampler.poses(
+            places[todo], fill_share[todo] * reach, tilt_share[todo], azimuth[todo], roll
+        )
         is_good = sampler.accepts(candidates_R, candidates_t)
         first, found = np.argmax(is_good, axis=1), is_good.any(axis=1)
         R[todo[found]] = candidates_R[found, first[found]]
@@ -123,9 +126,11 @@ def sample_board_poses(
         return SE3(R, t)
     x0, y0, x1, y1 = printed_extent_m(board)
     raise SceneError(
-        f"a pattern of {x1 - x0:.3g} x {y1 - y0:.3g} does not fit both pictures at fill {options.fill} and tilt {options.tilt_deg} deg with "
-        f"a baseline of {rig.baseline_m:.3g}; allow a smaller fill or a smaller min_visible_share.",
-        int(is_placed.sum()), n_views,
+        f"a pattern of {x1 - x0:.3g} x {y1 - y0:.3g} does not fit both pictures at fill {options.fill} "
+        f"and tilt {options.tilt_deg} deg with a baseline of {rig.baseline_m:.3g}; "
+        "allow a smaller fill or a smaller min_visible_share.",
+        int(is_placed.sum()),
+        n_views,
     )
 
 
@@ -152,7 +157,7 @@ def same_pose(
 
 
 class _Sampler:
-    """What stays the same over the rounds of one call: candidate poses from shares, and the test that they must pass."""
+    """What stays the same over the rounds of one call: candidate poses, and the test that they must pass."""
 
     def __init__(self, rig: StereoRig, board: Board, options: PoseOptions) -> None:
         self.rig, self.options = rig, options
@@ -161,7 +166,9 @@ class _Sampler:
         x0, y0, x1, y1 = printed_extent_m(board)
         s = np.linspace(0, 1, 7)[:-1]
         z, o = np.zeros_like(s), np.ones_like(s)
-        ring = np.concatenate([np.stack([s, z], 1), np.stack([o, s], 1), np.stack([1 - s, o], 1), np.stack([z, 1 - s], 1)])
+        ring = np.concatenate(
+            [np.stack([s, z], 1), np.stack([o, s], 1), np.stack([1 - s, o], 1), np.stack([z, 1 - s], 1)]
+        )
         self.outline = np.c_[[x0, y0] + ring * [x1 - x0, y1 - y0], np.zeros(len(ring))]
         self.points = board.object_points_m
         self.centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
@@ -195,7 +202,7 @@ class _Sampler:
         return self.extent / 2 / np.tan(np.minimum(angle, np.radians(130)) / 2)  # a plane never fills more than 180 deg
 
     def _cyclopean_rays(self, places: Float[ndarray, "k c 2"]) -> Float[ndarray, "k c 3"]:
-        """Mean direction, in the left frame, of both cameras' rays through a place; places span [-1, 1] over the picture."""
+        """Mean direction, left frame, of both cameras' rays through a place; places span [-1, 1] over the picture."""
         rays = []
         for camera in (self.rig.left, self.rig.right):
             half = (np.array(camera.size_wh) - 1) / 2

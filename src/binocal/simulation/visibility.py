@@ -30,8 +30,8 @@ def visible_px(
 ) -> Float[ndarray, "*batch n 2"]:
     """Pixels of points in the camera frame; NaN where the camera does not see them.
 
-    A point is seen when it lies within ``field_rad`` of the axis (:func:`field_angle_rad` unless given) and lands in the picture,
-    at least ``margin_px`` from its edge. Occlusion is NOT checked.
+    A point is seen when it lies within ``field_rad`` of the axis (:func:`field_angle_rad` unless given) and lands
+    in the picture, at least ``margin_px`` from its edge. Occlusion is NOT checked.
     """
     points = np.asarray(points, dtype=float)
     field = field_angle_rad(camera) if field_rad is None else field_rad

@@ -2,9 +2,9 @@
 
 This is the one door to the hot loop; a compiled kernel replaces :func:`accumulate` and nothing else.
 
-Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi) T_camera_board``, so a
-corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps of the rig and of the board poses with
-adjoints (:mod:`binocal.solvers.stereo`).
+Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
+T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
+of the rig and of the board poses with adjoints (:mod:`binocal.solvers.stereo`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from binocal.solvers import robust
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-CHUNK_CORNERS = 2500  # corners linearised at once: their Jacobian (0.7 MB) and every temporary stay in cache and out of page faults
+CHUNK_CORNERS = (
+    2500  # corners linearised at once: their Jacobian (0.7 MB) and every temporary stay in cache and out of page faults
+)
 
 
 _scratch = threading.local()
@@ -31,7 +33,8 @@ _scratch = threading.local()
 def _scratch_columns(shape: tuple[int, ...]) -> ndarray:
     """Uninitialised memory that this thread's next call will overwrite.
 
-    Fresh memory for every call cost more in page faults (2200 an iteration at 100 views) than the arithmetic: 6.3 ms against 3.8.
+    Fresh memory for every call cost more in page faults (2200 an iteration at 100 views) than the arithmetic: 6.3 ms
+    against 3.8.
     """
     size = int(np.prod(shape))
     buffer = getattr(_scratch, "buffer", None)
@@ -45,8 +48,8 @@ class ViewEquations:
     """Normal equations of every view of one camera.
 
     ``gram`` is the weighted Gram matrix of the columns [parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one.
-    ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost per view;
-    inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
+    ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost
+    per view; inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
     """
 
     gram: Float[ndarray, "*batch views q q"]
@@ -88,7 +91,14 @@ def accumulate(
         these = slice(start, min(start + chunk, total))
         J = columns[: these.stop - start]
         length2, Z = _fill_columns(
-            model, per_view_parameters[these], R[these], t[these], object_points, flat_pixels[these], flat_seen[these], J
+            model,
+            per_view_parameters[these],
+            R[these],
+            t[these],
+            object_points,
+            flat_pixels[these],
+            flat_seen[these],
+            J,
         )
         r2[these] = length2
         with np.errstate(all="ignore"):
@@ -115,7 +125,10 @@ def squared_lengths(
     pixels: Float[ndarray, "*batch views 2 n"],
     is_seen: Bool[ndarray, "*batch views n"],
 ) -> Float[ndarray, "*batch views n"]:
-    """Squared residual lengths alone, a third of the cost of :func:`accumulate`; 0 where not seen, inf where not finite."""
+    """Squared residual lengths alone, a third of the cost of :func:`accumulate`.
+
+    0 where not seen, inf where not finite.
+    """
     X = R_camera_board @ object_points + t_camera_board[..., None]
     with np.errstate(all="ignore"):
         u, v = model.project(parameters[..., None, :], X[..., 0, :], X[..., 1, :], X[..., 2, :])
@@ -141,7 +154,13 @@ def unweighted_columns(
 
 
 def _fill_columns(
-    model: CameraModel, parameters: ndarray, R: ndarray, t: ndarray, object_points: ndarray, pixels: ndarray, is_seen: ndarray,
+    model: CameraModel,
+    parameters: ndarray,
+    R: ndarray,
+    t: ndarray,
+    object_points: ndarray,
+    pixels: ndarray,
+    is_seen: ndarray,
     J: ndarray,
 ) -> tuple[Float[ndarray, "views n"], Float[ndarray, "views n"]]:
     """Fill ``J`` (views, p + 7, 2, n), zero where not seen; return squared residual lengths and depths."""

@@ -1,13 +1,13 @@
 """Bundle adjustment of one camera, or of a stereo pair, over board views: equations, steps, retraction.
 
-Unknowns: each camera's intrinsics, the rig's ``T_right_left``, and one board pose ``T_left_board`` per view. Rigid transforms are
-stepped from the left, ``T <- (exp(omega), tau) T``, xi = (omega, tau). A right corner then moves by the same column whether the rig or
-the board stepped, up to the adjoint of ``T_right_left``; that is why :func:`accumulate` needs only six pose columns per camera. The board
-poses are eliminated view by view (Schur complement; Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6.1), so
-the cost is linear in the views.
+Unknowns: each camera's intrinsics, the rig's ``T_right_left``, and one board pose ``T_left_board`` per view. Rigid
+transforms are stepped from the left, ``T <- (exp(omega), tau) T``, xi = (omega, tau). A right corner then moves by the
+same column whether the rig or the board stepped, up to the adjoint of ``T_right_left``; that is why :func:`accumulate`
+needs only six pose columns per camera. The board poses are eliminated view by view (Schur complement; Triggs et al.
+2000, "Bundle adjustment: a modern synthesis", section 6.1), so the cost is linear in the views.
 
-Every array may carry leading batch dimensions: a batch of rigs with the same board and number of views is solved at once.
-All functions are pure.
+Every array may carry leading batch dimensions: a batch of rigs with the same board and number of views is solved at
+once. All functions are pure.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraObservations:
-    """One camera's corners, component-first, finite everywhere (0 where not seen), and which of its parameters are free."""
+    """One camera's corners, component-first, finite everywhere.
+
+    0 where not seen, and which of its parameters are free.
+    """
 
     model: CameraModel
     pixels: Float[ndarray, "*batch views 2 n"]
@@ -38,7 +41,11 @@ class CameraObservations:
 
     @staticmethod
     def from_corners(
-        model: CameraModel, corners_px: Float[ndarray, "*batch views n 2"], *, skew: bool = False, intrinsics: bool = True
+        model: CameraModel,
+        corners_px: Float[ndarray, "*batch views n 2"],
+        *,
+        skew: bool = False,
+        intrinsics: bool = True,
     ) -> CameraObservations:
         """Observations of (views, n, 2) corners with NaN for unseen; ``intrinsics=False`` holds all parameters."""
         corners = np.asarray(corners_px, dtype=float)
@@ -81,10 +88,12 @@ class BundleEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleEquations:
-    """The problem linearised at an estimate: per-camera equations and the total robust cost (inf where the estimate is impossible).
+    """The problem linearised at an estimate.
 
-    The cost includes ``prior_energy``, half the squared standardised distance from the models' weak priors, times the squared ``scale_px``
-    that stands for the noise.
+    Per-camera equations and the total robust cost (inf where the estimate is impossible).
+
+    The cost includes ``prior_energy``, half the squared standardised distance from the models' weak priors, times the
+    squared ``scale_px`` that stands for the noise.
     """
 
     cameras: tuple[ViewEquations, ...]
@@ -95,7 +104,10 @@ class BundleEquations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleStep:
-    """A Newton-like step: shared parameters (free ones only, in order), view poses, and the predicted fall of the cost."""
+    """A Newton-like step: shared parameters.
+
+    Free ones only, in order, view poses, and the predicted fall of the cost.
+    """
 
     shared: Float[ndarray, "*batch s"]
     views: Float[ndarray, "*batch views 6"]
@@ -111,7 +123,9 @@ def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> F
     return out
 
 
-def right_poses(estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
+def right_poses(
+    estimate: BundleEstimate,
+) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
     """``T_right_board`` of every view."""
     R, t = estimate.R_right_left[..., None, :, :], estimate.t_right_left[..., None, :]
     return R @ estimate.R_left_board, (R @ estimate.t_left_board[..., None])[..., 0] + t
@@ -160,7 +174,10 @@ def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:
 def assemble(
     problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations
 ) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
-    """Full normal equations in blocks: shared H (*b, s, s) and g, views' H (*b, v, 6, 6) and g, coupling (*b, v, 6, s)."""
+    """Full normal equations in blocks.
+
+    Shared H (*b, s, s) and g, views' H (*b, v, 6, 6) and g, coupling (*b, v, 6, s).
+    """
     H_views, coupling, g_views = [], [], []
     n_shared = problem.n_shared
     batch_views = estimate.t_left_board.shape[:-1]
@@ -286,10 +303,9 @@ def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleE
     )
 
 
-def select_equations(
-    take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations
-) -> BundleEquations:
+def select_equations(take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations) -> BundleEquations:
     """Rig by rig, the new equations where ``take``, else the old ones."""
+
     def pick(a: ndarray, b: ndarray) -> ndarray:
         return np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
 

@@ -98,10 +98,12 @@ def cramer_rao_bound(
     right_is_seen: Bool[ndarray, "views n"] | None = None,
     skew: bool = False,
 ) -> Covariance:
-    """Least covariance that any unbiased estimate of the rig can have, from corners with Gaussian noise of ``noise_px`` per coordinate.
+    """Least covariance that any unbiased estimate of the rig can have.
 
-    All board poses are unknown (nuisance) parameters. ``T_left_board`` holds one pose per view. The models' weak priors count as
-    information, as they do in the estimate.
+    From corners with Gaussian noise of ``noise_px`` per coordinate.
+
+    All board poses are unknown (nuisance) parameters. ``T_left_board`` holds one pose per view. The models' weak priors
+    count as information, as they do in the estimate.
 
     Raises:
         DegenerateGeometryError: The scene leaves parameters undetermined.

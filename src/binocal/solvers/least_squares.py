@@ -1,7 +1,7 @@
 """The guarded robust Levenberg-Marquardt loop over a batch of rigs.
 
-A candidate is kept only if the robust cost falls; a rejected one raises the damping. The scale of the kernel follows the median residual
-(MAD) of the estimate that is kept, so the kernel closes by itself as the fit improves.
+A candidate is kept only if the robust cost falls; a rejected one raises the damping. The scale of the kernel follows
+the median residual (MAD) of the estimate that is kept, so the kernel closes by itself as the fit improves.
 """
 
 from __future__ import annotations
@@ -41,13 +41,18 @@ class LoopOptions:
     """Kernel scale over the MAD noise estimate; above 1 the kernel is kept open on purpose."""
     max_iterations: int = 50
     tolerance_sigma: float = 0.02
-    """Stop when the way left after a step is shorter than this: the norm over all unknowns, in standard deviations of the estimate.
+    """Stop when the way left after a step is shorter than this.
 
-    The way left is the step times its ratio to the step before, at least 0.1; for one parameter among hundreds it is far shorter. On exact corners the tolerance is 10⁴ times smaller."""
+    The norm over all unknowns, in standard deviations of the estimate.
+
+    The way left is the step times its ratio to the step before, at least 0.1; for one parameter among hundreds it is
+    far shorter. On exact corners the tolerance is 10⁴ times smaller."""
     initial_damping: float = 1e-6
     damping_fall: float = 30.0
     damping_rise: float = 10.0
-    least_raised_damping: float = 1e-6  # weak directions have eigenvalues of 1e-7 of the diagonal: less would not be felt
+    least_raised_damping: float = (
+        1e-6  # weak directions have eigenvalues of 1e-7 of the diagonal: less would not be felt
+    )
     max_damping: float = 1e8
 
 
@@ -96,9 +101,12 @@ def minimize(
     *,
     scale_px: Float[ndarray, "*batch"] | None = None,
 ) -> Minimum:
-    """Robust minimum near ``start``. ``scale_px`` is a first guess of the kernel's scale (found from the residuals if None).
+    """Robust minimum near ``start``.
 
-    ``is_converged`` is False where the iterations ran out, or where no damping made the cost fall although a step was due.
+    ``scale_px`` is a first guess of the kernel's scale (found from the residuals if None).
+
+    ``is_converged`` is False where the iterations ran out, or where no damping made the cost fall although a step was
+    due.
     """
     options = options or LoopOptions()
     kernel = options.kernel
@@ -141,7 +149,9 @@ def minimize(
         mad = np.maximum(options.scale_factor * noise_estimate_px(problem, equations), 1e-300)
         last_step_px = np.where(take, step_px, last_step_px)
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
-        damping = np.where(take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping))
+        damping = np.where(
+            take, damping / options.damping_fall, np.where(is_running, _raised(damping, options), damping)
+        )
         # exact corners: go on while the cost still falls by half, down to its rounding floor
         is_floor = ~is_exact | ~(trial.cost_px2 < 0.5 * cost)
         # a rejected step that was already too short to matter is convergence too

@@ -1,7 +1,7 @@
 """Gauss-Newton without squaring the Jacobian, for corners without noise.
 
-Normal equations square the condition number. With eight distortion coefficients it reaches 10¹⁶ there, and exact corners end at 10⁻⁷ px. An
-orthogonal factorisation of the Jacobian ends at the rounding of the projections themselves.
+Normal equations square the condition number. With eight distortion coefficients it reaches 10¹⁶ there, and exact
+corners end at 10⁻⁷ px. An orthogonal factorisation of the Jacobian ends at the rounding of the projections themselves.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy import ndarray
 
 from binocal.solvers import robust
 from binocal.solvers.accumulate import unweighted_columns
@@ -27,14 +26,16 @@ from binocal.solvers.bundle import (
 from binocal.solvers.least_squares import Minimum
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    pass
 
 MAX_STEPS = 6
 MAX_CORNERS = 200_000  # the whole Jacobian is held at once: 100 MB
 
 
 def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
-    """The minimum of one stereo rig, stepped on while the squared cost falls by half; unchanged unless its scale is at the floor.
+    """The minimum of one stereo rig, stepped on while the squared cost falls by half.
+
+    Unchanged unless its scale is at the floor.
 
     Corners that the robust kernel gives no weight stay out; exact corners need no prior, so it is left out too.
     """
@@ -73,7 +74,10 @@ def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
 
 
 def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate) -> BundleStep:
-    """The undamped Gauss-Newton step by QR: first each view's pose columns, then the shared ones in their complement."""
+    """The undamped Gauss-Newton step by QR.
+
+    First each view's pose columns, then the shared ones in their complement.
+    """
     n_shared = problem.n_shared
     shared, pose, residual = [], [], []
     column = 0

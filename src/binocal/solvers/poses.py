@@ -31,7 +31,8 @@ MIN_CORNERS = 4  # a planar pose has six unknowns; three corners leave several s
 class BoardPoses:
     """One pose per view. Where ``is_found`` is False (too few corners) the pose is the identity and means nothing.
 
-    ``left_r2_px2`` and ``right_r2_px2`` are squared residual lengths, NaN where a corner was not seen or the pose was not found.
+    ``left_r2_px2`` and ``right_r2_px2`` are squared residual lengths, NaN where a corner was not seen or the pose was
+    not found.
     """
 
     T_left_board: SE3
@@ -43,8 +44,8 @@ class BoardPoses:
 def estimate_board_poses(rig: StereoRig, detections: Detections, start: SE3 | None = None) -> BoardPoses:
     """Robust maximum-likelihood pose of the board in every view, intrinsics and rig held.
 
-    ``start`` holds one ``T_left_board`` per view that is known to be close. Without it the closed-form poses of both cameras are tried,
-    and the one that fits both pictures better is kept.
+    ``start`` holds one ``T_left_board`` per view that is known to be close. Without it the closed-form poses of both
+    cameras are tried, and the one that fits both pictures better is kept.
     """
     if start is not None:
         is_found = detections.left_is_seen.sum(axis=1) + detections.right_is_seen.sum(axis=1) >= MIN_CORNERS

@@ -1,7 +1,7 @@
 """Robust kernels on squared residual lengths, and the scale they are measured in.
 
-A residual here is the 2-vector of one corner; ``r2`` is its squared length. With Gaussian noise of standard deviation sigma per
-coordinate its length is Rayleigh distributed, so the median length is 1.1774 sigma.
+A residual here is the 2-vector of one corner; ``r2`` is its squared length. With Gaussian noise of standard deviation
+sigma per coordinate its length is Rayleigh distributed, so the median length is 1.1774 sigma.
 """
 
 from __future__ import annotations
@@ -20,13 +20,19 @@ MEDIAN_OF_RAYLEIGH = 1.1774100225154747  # sqrt(2 ln 2)
 SCALE_FLOOR_PX = 1e-3  # no corner is measured better; keeps exact input from being cut by its own rounding errors
 
 HAMPEL_FLAT, HAMPEL_DROP, HAMPEL_END = 3.5, 4.5, 7.0
-"""Hampel's three corners in sigmas. A corner of Gaussian noise lies beyond 3.5 sigma once in 460, so 99.9 % of the efficiency stays."""
+"""Hampel's three corners in sigmas.
+
+A corner of Gaussian noise lies beyond 3.5 sigma once in 460, so 99.9 % of the efficiency stays.
+"""
 
 
-def weights(r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel) -> Float[ndarray, "*batch"]:
+def weights(
+    r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel
+) -> Float[ndarray, "*batch"]:
     """IRLS weight psi(r) / r of each residual; 1 at 0.
 
-    Source: Hampel 1974, "The influence curve and its role in robust estimation" (three-part redescending); Cauchy with c = scale.
+    Source: Hampel 1974, "The influence curve and its role in robust estimation" (three-part redescending); Cauchy with
+    c = scale.
     """
     if kernel == "squared":
         return np.ones_like(r2)
@@ -41,7 +47,9 @@ def weights(r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], k
     return w
 
 
-def costs(r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel) -> Float[ndarray, "*batch"]:
+def costs(
+    r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel
+) -> Float[ndarray, "*batch"]:
     """Robust cost rho(r) of each residual, in px², half of r² near 0."""
     if kernel == "squared":
         return 0.5 * r2

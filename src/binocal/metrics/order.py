@@ -1,0 +1,82 @@
+"""Board poses of held-out views, with the two cameras' corner orders brought into agreement.
+
+A symmetric board looks the same from its other end, and a finder may number its corners from either: then left and
+right corners of one view do not match although every corner is right. The rig, which is known here, tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.cameras import StereoRig
+from binocal.detections import Detections
+from binocal.geometry import SE3
+from binocal.initialization.symmetries import board_symmetries
+from binocal.solvers.poses import BoardPoses, estimate_board_poses
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+SUSPECT_PX = 1.0  # no sane rig misses its corners by that much; looking costs time only
+CLEAR_FACTOR = 5.0  # another order is believed if it fits that many times better; a wrong one is worse by 100 and more
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrderedViews:
+    """Detections whose corner orders agree, a board pose per view, and what was done.
+
+    The corners of a view without a pose are NaN.
+    """
+
+    detections: Detections
+    T_left_board: SE3
+    notes: tuple[str, ...]
+
+
+def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
+    """Bring the right corners of each view into the order of the left ones, as the board's symmetries allow.
+
+    A view's corners are reordered only where that makes its typical (median) residual at least 5 times smaller; a note
+    says so.
+    """
+    best = estimate_board_poses(rig, detections)
+    residual_px = _typical_px(best)
+    symmetries = board_symmetries(detections.object_points_m)
+    right_px, notes = detections.right_px.copy(), {}
+    R, t = best.T_left_board.R.copy(), best.T_left_board.t.copy()
+    is_found = best.is_found.copy()
+    suspects = np.flatnonzero(residual_px > SUSPECT_PX)
+    limit_px = residual_px / CLEAR_FACTOR
+    for k in range(1, len(symmetries.names) if len(suspects) else 1):
+        views = detections.select(suspects)
+        moved = replace(views, right_px=views.right_px[:, symmetries.order[k]])
+        poses = estimate_board_poses(rig, moved)
+        for i in np.flatnonzero(_typical_px(poses) < limit_px[suspects]):
+            view = suspects[i]
+            limit_px[view] = _typical_px(poses)[i]
+            right_px[view] = moved.right_px[i]
+            R[view], t[view], is_found[view] = poses.T_left_board.R[i], poses.T_left_board.t[i], poses.is_found[i]
+            notes[view] = (
+                f"view {detections.names[view]}: the right corner order was {symmetries.names[k]} against the left; "
+                "repaired."
+            )
+    has_pose = is_found[:, None, None]
+    ordered = replace(
+        detections,
+        left_px=np.where(has_pose, detections.left_px, np.nan),
+        right_px=np.where(has_pose, right_px, np.nan),
+    )
+    return OrderedViews(ordered, SE3(R, t), tuple(notes[view] for view in sorted(notes)))
+
+
+def _typical_px(poses: BoardPoses) -> Float[ndarray, "views"]:
+    """Median residual length of each view, both cameras; NaN where nothing was seen."""
+    r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
+    typical = np.full(len(r2), np.nan)
+    seen = np.isfinite(r2).any(axis=1)
+    typical[seen] = np.sqrt(np.nanmedian(r2[seen], axis=1))
+    return typical
