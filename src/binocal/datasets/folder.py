@@ -90,7 +90,8 @@ def _list_pictures(
     found = sorted({Path(os.path.normpath(path)) for path in found}, key=lambda path: natural_key(str(path)))
     pictures = []
     for path in found:
-        if path.suffix.lower() in PICTURE_SUFFIXES or (len(found) == 1 and not path.is_dir()):
+        is_named = is_listed or str(path) == os.path.normpath(os.path.expanduser(text))
+        if path.suffix.lower() in PICTURE_SUFFIXES or (is_named and not path.is_dir()):
             pictures.append(path)
         elif not path.is_dir():
             ignored[path] = "is not a picture (by its suffix)"

@@ -65,7 +65,8 @@ def detect_aprilgrid(
     )
     is_proved = ranked[0][0] < MAX_MISFIT and ranked[1][0] > max(3 * ranked[0][0], 0.05)
     proved = ranked[0][2] if is_proved else None
-    chosen = layout or ranked[0][2]
+    alike = {choice for misfit, _, choice in ranked if misfit <= max(3 * ranked[0][0], 0.05)}
+    chosen = layout or proved or next(choice for choice in _LAYOUTS if choice in alike or choice == ranked[0][2])
     if not _misfit(board, tags, quads, chosen) < MAX_MISFIT:
         return not_found(
             board.n_points,
@@ -73,11 +74,12 @@ def detect_aprilgrid(
         ), proved
     found = _measure(grey, stretched, board, tags, quads, chosen, border_bits)
     if found.is_found and layout is None and proved is None:
-        found = replace(found, note="which way the ids run cannot be told from this picture; from the top taken")
+        found = replace(found, note="which way the ids run cannot be told from this picture; from the bottom taken")
     return found, proved
 
 
-_LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (False, True) for turns in range(4))
+# In order of preference where several fit: Kalibr's ids run from the bottom.
+_LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (True, False) for turns in range(4))
 
 
 def _find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:

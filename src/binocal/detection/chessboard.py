@@ -15,10 +15,10 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices
 from binocal.detection.refinement import corner_covariance, refine_corners
 from binocal.detection.regularity import find_irregular
-from binocal.detection.xcorners import find_x_corners, sample
+from binocal.detection.xcorners import find_x_corners, read_rings, sample
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float32
+    from jaxtyping import Bool, Float, Float32
 
 MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
@@ -178,6 +178,8 @@ def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, l
     coarse = grid.reshape(-1, 2)
     points = refine_corners(grey, coarse, spacing)
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
+    smooth = level.smooth if level.scale == 1 else cv2.GaussianBlur(stretched, (0, 0), 1.0)
+    points[_are_faint(smooth, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= max(4, MIN_SHARE_SEEN * board.n_points):
         points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
@@ -215,6 +217,23 @@ def _are_squares_patterned(
     bright = np.percentile(values[is_bright & is_whole], 95)
     share_dark = np.mean(values[is_bright & is_whole] < 0.5 * (dark + bright), axis=-1)
     return bool(np.median(share_dark) > 0.25)
+
+
+def _are_faint(smooth: ndarray, points: Float[ndarray, "n 2"], spacing: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
+    """Which points do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
+
+    Says nothing (all False) where most points fail: a picture too blurred for rings of this size is not covered
+    everywhere.
+    """
+    seen = np.isfinite(points[:, 0])
+    faint = np.zeros(len(points), bool)
+    if not seen.any():
+        return faint
+    radius = float(np.clip(0.2 * np.median(spacing[seen]), 2.5, 8.0))
+    is_corner, _, contrast = read_rings(smooth, points[seen], radius)
+    if is_corner.mean() > 0.5:
+        faint[seen] = ~is_corner | (contrast < np.median(contrast[is_corner]) / 3)
+    return faint
 
 
 def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:

@@ -69,6 +69,8 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
     if best is None:
         return not_found(board.n_points, f"no circle grid found ({n_most} round spots seen)")
     n_seen, (columns, rows) = best
+    if board.kind == "circles":  # either way round is the same grid
+        columns, rows = max(columns, rows), min(columns, rows)
     if n_seen > board.n_points and columns * rows > board.n_points:
         return not_found(
             board.n_points,

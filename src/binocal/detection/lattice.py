@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.xcorners import XCorners, _wrap, read_rings, sample
+from binocal.detection.xcorners import XCorners, _wrap, read_rings, saddle_response, sample
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32, Int
@@ -178,10 +178,10 @@ def _grow(neighbour: ndarray, back_ray: ndarray) -> list[tuple[ndarray, ndarray,
     return groups
 
 
-def _fill(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float) -> ndarray:
+def _fill(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float, *, least: int = 2) -> ndarray:
     """The grid with holes filled where it predicts corners: half the contrast will do, most edges must be seen."""
     for _ in range(3):
-        predicted, spacing = predict_missing(grid[..., :2])
+        predicted, spacing = predict_missing(grid[..., :2], least=least)
         rows, columns = np.nonzero(np.isfinite(predicted[..., 0]))
         if len(rows) == 0:
             break
@@ -210,7 +210,7 @@ def _extend(
             pad[side // 2] = (1, 0) if side % 2 == 0 else (0, 1)
             trial = np.pad(grid, pad, constant_values=np.nan)
             is_bright = is_bright_first ^ (side % 2 == 0)
-            trial = _fill(smooth, trial, is_bright, radius_px)
+            trial = _fill(smooth, trial, is_bright, radius_px, least=1)
             share = _border_shares(smooth, trial, is_bright)[side]
             if share > best_share:
                 best_share, best = share, (trial, is_bright)
@@ -251,7 +251,7 @@ def _count_neighbours(along_row: ndarray, along_column: ndarray, value: int) -> 
 
 
 def predict_missing(
-    grid: Float[ndarray, "rows columns 2"],
+    grid: Float[ndarray, "rows columns 2"], *, least: int = 2
 ) -> tuple[Float[ndarray, "rows columns 2"], Float[ndarray, "rows columns"]]:
     """Where a missing corner should be, by straight continuation of its row and column.
 
@@ -280,30 +280,32 @@ def predict_missing(
         mean = np.where(usable[..., None], guess, 0).sum(axis=0) / count[..., None]
         spread = np.where(usable, np.linalg.norm(guess - mean, axis=-1), 0).max(axis=0)
     spacing = np.where(usable, step, np.inf).min(axis=0)
-    is_open = ~np.isfinite(padded[core][..., 0]) & (count >= 2)
+    is_open = ~np.isfinite(padded[core][..., 0]) & (count >= least)
     with np.errstate(invalid="ignore"):
         is_open &= spread < 0.5 * spacing
     return np.where(is_open[..., None], mean, np.nan), spacing
 
 
 def _search(smooth: ndarray, predicted: ndarray, spacing: ndarray, radius_px: float) -> Float[ndarray, "n 3"]:
-    """The best X-corner (x, y, contrast) within 0.25 spacings of each prediction, on a 5 x 5 pattern.
-
-    NaN where there is none.
-    """
-    offsets = np.stack(np.meshgrid(np.linspace(-0.24, 0.24, 5), np.linspace(-0.24, 0.24, 5)), axis=-1).reshape(-1, 2)
-    centres = (predicted[:, None] + offsets * spacing[:, None, None]).reshape(-1, 2)
+    """The X-corner (x, y, contrast) at the strongest saddle within 0.25 spacings of each prediction, or NaN."""
     height, width = smooth.shape
-    inside = (centres > radius_px).all(axis=1) & (centres < np.array([width, height]) - 1 - radius_px).all(axis=1)
-    is_corner, rays, contrast = read_rings(smooth, centres, radius_px, min_contrast_dn=3.0)
-    bend = np.abs(_wrap(rays[:, :2] + np.pi - rays[:, 2:])).sum(axis=1)
-    score = np.where(is_corner & inside, contrast * np.exp(-2 * bend), -1).reshape(len(predicted), -1)
-    best = score.argmax(axis=1)
-    index = np.arange(len(predicted))
-    found = (
-        np.concatenate([centres, contrast[:, None]], axis=1).reshape(len(predicted), -1, 3)[index, best].astype(float)
-    )
-    found[score[index, best] <= 0] = np.nan
+    rim = int(np.ceil(radius_px)) + 1
+    centres = np.full((len(predicted), 2), np.nan)
+    for i, ((x, y), step) in enumerate(zip(predicted, spacing, strict=True)):
+        reach = max(1, round(0.25 * step))
+        left, right = max(round(x) - reach, rim), min(round(x) + reach, width - 1 - rim)
+        top, bottom = max(round(y) - reach, rim), min(round(y) + reach, height - 1 - rim)
+        if left > right or top > bottom:
+            continue
+        response = saddle_response(smooth[top - 1 : bottom + 2, left - 1 : right + 2])[1:-1, 1:-1]
+        row, column = np.unravel_index(response.argmax(), response.shape)
+        if response[row, column] > 0:
+            centres[i] = left + column, top + row
+    found = np.full((len(predicted), 3), np.nan)
+    index = np.nonzero(np.isfinite(centres[:, 0]))[0]
+    is_corner, _, contrast = read_rings(smooth, centres[index], radius_px, min_contrast_dn=3.0)
+    found[index[is_corner], :2] = centres[index[is_corner]]
+    found[index[is_corner], 2] = contrast[is_corner]
     return found
 
 
@@ -352,14 +354,22 @@ def _step_break(grid: ndarray) -> float:
 
 
 def continues_beyond(smooth: Float32[ndarray, "h w"], lattice: Lattice, radius_px: float) -> bool:
-    """Whether weak corners go on beyond one of the lattice's borders: the printed board is larger than the lattice."""
+    """Whether the lattice goes on beyond one of its borders: the printed board is larger than the lattice.
+
+    A row counts where every corner and every edge of it is seen, with the lattice's own contrast; margins that are
+    thinner than the blur let some outer corners of a board look like X-corners (shares of 0.9, or contrasts of 0.5 or
+    1.6, on real boards).
+    """
     contrast = np.where(np.isfinite(lattice.points_px[..., :1]), lattice.contrast_dn, np.nan)
     grid = np.concatenate([lattice.points_px, contrast], axis=-1)
     for side in range(4):
         pad = [(0, 0), (0, 0), (0, 0)]
         pad[side // 2] = (1, 0) if side % 2 == 0 else (0, 1)
         is_bright = (not lattice.is_dark_first) ^ (side % 2 == 0)
-        trial = _fill(smooth, np.pad(grid, pad, constant_values=np.nan), is_bright, radius_px)
-        if _border_shares(smooth, trial, is_bright)[side] >= 0.85:
+        trial = _fill(smooth, np.pad(grid, pad, constant_values=np.nan), is_bright, radius_px, least=1)
+        line = (trial[0], trial[-1], trial[:, 0], trial[:, -1])[side]
+        ratio = line[:, 2] / lattice.contrast_dn
+        is_alike = bool(np.all((ratio > 0.65) & (ratio < 1.5)))  # False where a corner is missing
+        if is_alike and _border_shares(smooth, trial, is_bright)[side] == 1:
             return True
     return False

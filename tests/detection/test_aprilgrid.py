@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binocal import detect
+from binocal.boards import parse_board
+from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
+from binocal.detection.detect import stretch
+
+SPEC = "aprilgrid:5x4:40mm:0.3"
+
+
+@pytest.mark.parametrize("border_bits", [1, 2])
+def test_tags_of_both_borders(shoot, border_bits):
+    shot = shoot(SPEC, size_wh=(960, 720), april_border_bits=border_bits)
+    found = detect(shot.image, shot.board)
+    assert found.is_found and found.is_seen.sum() >= 40, found.reason  # measured 68 to 80
+    error = (found.points_px - shot.corners_px)[found.is_seen]
+    assert np.sqrt(np.mean(error**2)) < 0.05 and np.abs(error).max() < 0.3  # measured 0.02 px
+
+
+def test_ids_that_run_from_the_top_are_read_in_the_boards_order_too(shoot):
+    shot = shoot(SPEC, size_wh=(960, 720))
+    upside_down = np.ascontiguousarray(shot.image[::-1, ::-1])
+    found, layout = detect_aprilgrid(upside_down, stretch(upside_down)[0], shot.board)
+    assert layout is not None and layout.is_bottom_up  # turning the picture does not turn the print
+    back = np.array([959, 719]) - found.points_px
+    assert np.nanmax(np.abs(back - shot.corners_px)) < 0.3
+
+
+def test_a_layout_that_is_given_is_taken(shoot):
+    shot = shoot(SPEC, size_wh=(960, 720))
+    _, proved = detect_aprilgrid(shot.image, stretch(shot.image)[0], shot.board)
+    assert isinstance(proved, TagLayout)
+    other = replace(proved, turns=(proved.turns + 1) % 4)
+    found, _ = detect_aprilgrid(shot.image, stretch(shot.image)[0], shot.board, other)
+    assert not found.is_found and "do not lie as on a 5x4 grid" in found.reason
+
+
+def test_a_wrong_gap_or_size_is_refused(shoot):
+    image = shoot(SPEC, size_wh=(960, 720)).image
+    assert not detect(image, parse_board("aprilgrid:4x5:40mm:0.3")).is_found
+    assert "gap 1" in detect(image, parse_board("aprilgrid:5x4:40mm:1.0")).reason
+
+
+def test_other_ids_are_named(shoot):
+    shot = shoot(SPEC, size_wh=(960, 720))
+    found = detect(shot.image, replace(shot.board, first_tag_id=300))
+    assert "the board has 300 to 319" in found.reason
+
+
+def test_no_tag(shoot):
+    assert "no tag" in detect(shoot("chessboard:7x6:30mm").image, parse_board(SPEC)).reason

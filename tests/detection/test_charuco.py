@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from binocal import detect
+from binocal.boards import parse_board
+from binocal.detection.charuco import detect_charuco, find_columns, marker_squares
+from binocal.detection.detect import stretch
+
+SPEC = "charuco:8x6:30mm:22mm:DICT_5X5_50"
+
+
+@pytest.mark.parametrize("is_legacy", [False, True])
+@pytest.mark.parametrize("spec", [SPEC, "charuco:7x5:30mm:22mm:DICT_4X4_50", "charuco:5x8:30mm:20mm:DICT_6X6_250"])
+def test_both_layouts_are_told_by_the_picture(shoot, spec, is_legacy):
+    shot = shoot(spec, is_legacy_charuco=is_legacy, size_wh=(800, 600), distance=1.9)
+    found, layout = detect_charuco(shot.image, stretch(shot.image)[0], shot.board)
+    assert found.is_found and found.is_seen.all(), found.reason
+    assert layout == ("legacy" if is_legacy and shot.board.rows % 2 == 0 else "current")
+    assert np.sqrt(np.nanmean((found.points_px - shot.corners_px) ** 2)) < 0.06  # measured 0.02 to 0.04 px per axis
+
+
+def test_a_partial_board_is_used_and_its_hidden_corners_are_not(shoot):
+    shot = shoot(SPEC, distance=0.7, size_wh=(800, 600))
+    found = detect(shot.image, shot.board)
+    inside = np.isfinite(shot.corners_px[:, 0])
+    assert found.is_found and 8 <= found.is_seen.sum() <= inside.sum() < shot.board.n_points
+    error = (found.points_px - shot.corners_px)[found.is_seen]
+    assert np.isfinite(error).all() and np.abs(error).max() < 0.2
+    assert (
+        np.isfinite(found.covariance_px2[found.is_seen]).all() and np.isnan(found.covariance_px2[~found.is_seen]).all()
+    )
+
+
+def test_exchanged_columns_and_rows_contradict_the_markers(shoot):
+    found = detect(
+        shoot(SPEC, size_wh=(800, 600), distance=1.9).image, parse_board("charuco:6x8:30mm:22mm:DICT_5X5_50")
+    )
+    assert not found.is_found and "do not lie as on a board of 6x8" in found.reason
+
+
+def test_another_dictionary_is_not_found(shoot):
+    assert "no marker" in detect(shoot(SPEC).image, parse_board("charuco:8x6:30mm:22mm:DICT_7X7_50")).reason
+
+
+def test_the_markers_tell_the_number_of_columns(shoot):
+    shot = shoot(SPEC, size_wh=(800, 600), distance=1.9)
+    wrong = parse_board("charuco:10x6:30mm:22mm:DICT_5X5_50")
+    assert find_columns(stretch(shot.image)[0], wrong) == 8
+    assert find_columns(np.full((200, 200), 90, np.float32), wrong) == 0
+
+
+def test_an_unknown_dictionary_is_the_callers_mistake(shoot):
+    with pytest.raises(ValueError, match="no ArUco dictionary"):
+        detect(shoot(SPEC).image, parse_board("charuco:8x6:30mm:22mm:DICT_NONE"))
+
+
+def test_layouts_differ_where_rows_are_even_only():
+    even, odd = parse_board(SPEC), parse_board("charuco:8x5:30mm:22mm:DICT_5X5_50")
+    assert marker_squares(even, "legacy")[0].tolist() == [0, 0]
+    assert marker_squares(even, "current")[0].tolist() == [1, 0]
+    assert np.array_equal(marker_squares(odd, "legacy"), marker_squares(odd, "current"))

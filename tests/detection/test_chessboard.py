@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from binocal import detect
+from binocal.boards import parse_board
+from binocal.detection.chessboard import find_chessboard_size
+from binocal.detection.detect import stretch
+
+
+def rms_px(found, corners_px):
+    return float(np.sqrt(np.nanmean((found.points_px - corners_px) ** 2)))
+
+
+@pytest.mark.parametrize("xi_rad", [(0.25, -0.3, 0.1), (-0.5, 0.2, 1.7), (0.1, 0.4, 3.0), (0.3, 0.0, -1.2)])
+def test_odd_by_even_boards_are_oriented_by_colour_however_they_are_turned(shoot, xi_rad):
+    shot = shoot("chessboard:7x6:30mm", xi_rad)
+    found = detect(shot.image, shot.board)
+    assert found.is_found and found.is_seen.all(), found.reason
+    assert rms_px(found, shot.corners_px) < 0.035  # measured 0.017 to 0.025 px per axis
+
+
+@pytest.mark.parametrize(
+    "spec", ["chessboard:8x6:30mm", "chessboard:5x5:30mm", "chessboard:3x3:30mm", "chessboard:11x8:30mm"]
+)
+def test_boards_of_other_sizes_upright(shoot, spec):
+    shot = shoot(spec)
+    found = detect(shot.image, shot.board)
+    assert found.is_found, found.reason
+    assert rms_px(found, shot.corners_px) < 0.04
+
+
+def test_the_stated_covariance_is_honest(shoot):
+    shots = [shoot("chessboard:9x6:30mm", seed=seed, noise_dn=noise) for seed in (1, 2) for noise in (1.0, 4.0)]
+    ratios = []
+    for shot in shots:
+        found = detect(shot.image, shot.board)
+        error = found.points_px - shot.corners_px
+        ratios.append(np.mean(error**2) / np.mean(found.covariance_px2[:, 0, 0]))
+    assert 0.4 < np.mean(ratios) < 1.6  # measured 0.6 to 1.0: stated variance over true one
+
+
+@pytest.mark.parametrize("change", ["16 bit", "colour", "inverted", "dark", "blurred", "small"])
+def test_other_pictures_of_the_same_board(shoot, change):
+    options = {"16 bit": {"bit_depth": 16}, "blurred": {"blur_px": 3.0}, "small": {"distance": 4.0}}.get(change, {})
+    shot = shoot("chessboard:9x6:30mm", **options)
+    image = shot.image
+    if change == "colour":
+        image = np.repeat(image[..., None], 3, axis=2)
+    if change == "inverted":
+        image = 255 - image
+    if change == "dark":
+        image = (image // 6).astype(np.uint8)
+    found = detect(image, shot.board)
+    assert found.is_found, found.reason
+    corners = shot.corners_px[::-1] if change == "inverted" else shot.corners_px  # its outer squares changed colour
+    assert rms_px(found, corners) < (0.12 if change in ("dark", "small") else 0.06)
+
+
+def test_a_spec_that_is_too_small_is_refused_with_the_right_one(shoot):
+    shot = shoot("chessboard:9x6:30mm")
+    found = detect(shot.image, parse_board("chessboard:8x5:30mm"))
+    assert not found.is_found and np.isnan(found.points_px).all() and np.isnan(found.covariance_px2).all()
+    assert "continues beyond 8x5" in found.reason and "chessboard:9x6" in found.reason
+    assert found.size_seen == (9, 6)
+
+
+def test_a_spec_that_is_too_large_says_what_was_seen(shoot):
+    found = detect(shoot("chessboard:9x6:30mm").image, parse_board("chessboard:10x7:30mm"))
+    assert "only 9x6" in found.reason and found.size_seen == (9, 6)
+
+
+def test_columns_and_rows_may_be_exchanged(shoot):
+    shot = shoot("chessboard:9x6:30mm")
+    found = detect(shot.image, parse_board("chessboard:6x9:30mm"))
+    assert found.is_found
+    distance = np.linalg.norm(found.points_px[:, None] - shot.corners_px[None], axis=-1)
+    assert distance.min(axis=1).max() < 0.2  # the same corners in another order
+
+
+def test_two_boards_are_told(shoot):
+    left = shoot("chessboard:7x5:30mm", distance=2.6, shift=(-0.7, 0), clutter_dn=0.0).image
+    right = shoot("chessboard:7x5:30mm", distance=2.6, shift=(0.7, 0), clutter_dn=0.0).image
+    found = detect(np.hstack([left[:, :320], right[:, 320:]]), parse_board("chessboard:7x5:30mm"))
+    assert "more than one board" in found.reason and "7x5, 7x5" in found.reason
+
+
+def test_a_small_second_board_of_another_size_is_noted(shoot):
+    image = np.hstack([shoot("chessboard:7x5:30mm").image, shoot("chessboard:5x4:30mm").image])
+    found = detect(image, parse_board("chessboard:7x5:30mm"))
+    assert found.is_found and "5x4" in found.note
+
+
+def test_a_covered_corner_is_missing_and_not_invented(shoot):
+    shot = shoot("chessboard:9x6:30mm")
+    image = shot.image.copy()
+    x, y = shot.corners_px[22].astype(int)
+    cv2.circle(image, (int(x), int(y)), 14, 120, -1)
+    found = detect(image, shot.board)
+    assert found.is_found and not found.is_seen[22] and found.is_seen.sum() >= 50
+    assert rms_px(found, shot.corners_px) < 0.05 and "corners seen" in found.note
+
+
+def test_half_a_board_is_refused(shoot):
+    shot = shoot("chessboard:9x6:30mm")
+    image = shot.image.copy()
+    image[:, :320] = 90
+    found = detect(image, shot.board)
+    assert not found.is_found and "only" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (np.full((480, 640), 128, np.uint8), "blank"),
+        (np.full((480, 640), 255, np.uint8), "overexposed"),
+        (np.zeros((480, 640), np.uint16), "blank"),
+        (np.zeros((10, 10), np.uint8), "only 10x10 pixels"),
+        (np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8), "no chessboard"),
+    ],
+)
+def test_pictures_without_a_board(image, reason):
+    assert reason in detect(image, parse_board("chessboard:9x6:30mm")).reason
+
+
+def test_a_charuco_board_is_no_chessboard(shoot):
+    shot = shoot("charuco:9x6:30mm:15mm:DICT_4X4_50", size_wh=(960, 720))
+    assert "ChArUco" in detect(shot.image, parse_board("chessboard:8x5:30mm")).reason
+
+
+def test_the_size_of_an_unknown_board(shoot):
+    assert find_chessboard_size(stretch(shoot("chessboard:8x5:30mm").image)[0]) == (8, 5)
+    assert find_chessboard_size(np.full((300, 400), 100, np.float32)) is None
+
+
+@pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((40, 40, 2), np.uint8), np.zeros(40, np.uint8)])
+def test_what_is_no_picture_is_the_callers_mistake(image):
+    with pytest.raises(ValueError, match="a picture is"):
+        detect(image, parse_board("chessboard:9x6:30mm"))

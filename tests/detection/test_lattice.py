@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from binocal.detection.lattice import continues_beyond, find_lattices, predict_missing
+from binocal.detection.xcorners import find_x_corners, read_rings, sample
+
+
+def smooth_of(image):
+    return cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
+
+
+def test_x_corners_are_the_boards_and_their_rays_follow_the_edges(shoot):
+    shot = shoot("chessboard:9x6:30mm", (0.0, 0.0, 0.0), clutter_dn=0.0)
+    corners = find_x_corners(smooth_of(shot.image), 3.0)
+    distance = np.linalg.norm(corners.points_px[:, None] - shot.corners_px[None], axis=-1)
+    assert distance.min(axis=0).max() < 1.0
+    at = distance.argmin(axis=0)
+    assert np.abs(np.sin(2 * corners.rays_rad[at])).max() < 0.2  # along the axes of an upright board
+    is_bright_after = (corners.rays_rad[at, 0] % np.pi) < np.pi / 4
+    assert len(np.unique(is_bright_after.reshape(6, 9)[:, ::2] ^ (np.arange(6) % 2 == 0)[:, None])) >= 1
+
+
+def test_edges_and_flat_areas_are_no_corners():
+    picture = np.zeros((60, 60), np.float32)
+    picture[:, 30:] = 200
+    is_corner, _, _ = read_rings(smooth_of(picture), np.array([[29.5, 30.0], [10.0, 10.0]], np.float32), 3.0)
+    assert not is_corner.any()
+    assert len(find_x_corners(np.full((60, 60), 90, np.float32), 3.0)) == 0
+
+
+def test_a_lattice_has_the_boards_size_and_order(shoot):
+    shot = shoot("chessboard:9x6:30mm")
+    smooth = smooth_of(shot.image)
+    lattice = find_lattices(smooth, find_x_corners(smooth, 3.0), 3.0)[0]
+    assert lattice.size == (9, 6) and lattice.n_seen == 54
+    a, b = lattice.points_px[0, 1] - lattice.points_px[0, 0], lattice.points_px[1, 0] - lattice.points_px[0, 0]
+    assert a[0] * b[1] - a[1] * b[0] > 0  # not mirrored
+    assert not continues_beyond(smooth, lattice, 3.0)
+
+
+def test_a_part_of_a_board_is_seen_to_continue(shoot):
+    smooth = smooth_of(shoot("chessboard:9x6:30mm").image)
+    lattice = find_lattices(smooth, find_x_corners(smooth, 3.0), 3.0)[0]
+    part = type(lattice)(lattice.points_px[:, :-1], lattice.is_dark_first, lattice.contrast_dn)
+    assert continues_beyond(smooth, part, 3.0)
+
+
+def test_a_hole_is_predicted_from_its_neighbours():
+    grid = np.stack(np.meshgrid(10.0 * np.arange(5), 8.0 * np.arange(4)), axis=-1)
+    holed = grid.copy()
+    holed[1, 2] = np.nan
+    predicted, spacing = predict_missing(holed)
+    assert np.allclose(predicted[1, 2], grid[1, 2]) and spacing[1, 2] == 8.0
+    assert np.isfinite(predicted[..., 0]).sum() == 1
+
+
+def test_sampling_is_bilinear_and_handles_many_points():
+    picture = np.add.outer(10.0 * np.arange(20), np.arange(30)).astype(np.float32)
+    points = np.random.default_rng(0).uniform(1, 18, (70_000, 2))
+    assert np.allclose(sample(picture, points), points[:, 0] + 10 * points[:, 1], atol=0.4)  # remap: 1/32 px steps
+    assert sample(picture, np.zeros((0, 2))).shape == (0,)

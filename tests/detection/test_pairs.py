@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from binocal.boards import parse_board
+from binocal.datasets import PicturePair, list_pairs
+from binocal.detection import detect_pairs
+from binocal.errors import CancelledError, DataError, DetectionError
+
+BOARD = parse_board("chessboard:7x6:30mm")
+TURNS = [(0.25, -0.3, 0.1), (-0.3, 0.2, 0.2), (0.3, 0.3, -0.2), (0.1, -0.4, 0.0)]
+
+
+@pytest.fixture(scope="session")
+def pictures(shoot):
+    """Left and right pictures of four views, and the true corners of the left ones."""
+    lefts = [shoot("chessboard:7x6:30mm", turn, seed=i) for i, turn in enumerate(TURNS)]
+    rights = [shoot("chessboard:7x6:30mm", turn, shift=(-0.1, 0), seed=9 + i) for i, turn in enumerate(TURNS)]
+    return lefts, rights
+
+
+@pytest.fixture
+def folder(tmp_path, pictures):
+    for side, shots in zip(("left", "right"), pictures, strict=True):
+        for i, shot in enumerate(shots):
+            cv2.imwrite(str(tmp_path / f"{side}{i}.png"), shot.image)
+    return tmp_path
+
+
+def pairs_in(folder):
+    return list_pairs(str(folder / "left*"), str(folder / "right*"))
+
+
+def test_all_views_in_order_with_progress(folder, pictures):
+    calls = []
+    found = detect_pairs(pairs_in(folder), BOARD, progress=lambda done, total: calls.append((done, total)), n_threads=2)
+    assert found.detections.names == ("0", "1", "2", "3") and not found.rejected and not found.notes
+    assert found.detections.left_size_wh == (640, 480) and found.detections.is_metric
+    truth = np.stack([shot.corners_px for shot in pictures[0]])
+    assert np.abs(found.detections.left_px - truth).max() < 0.15
+    assert found.left_covariance_px2.shape == (4, 42, 2, 2) and (found.right_covariance_px2[..., 0, 0] > 0).all()
+    assert calls == [(i, 8) for i in range(1, 9)]
+
+
+def test_results_do_not_depend_on_threads(folder):
+    one, three = (detect_pairs(pairs_in(folder), BOARD, n_threads=n) for n in (1, 3))
+    assert np.array_equal(one.detections.left_px, three.detections.left_px)
+
+
+def test_unreadable_pictures_reject_their_view_by_name(folder):
+    content = (folder / "left1.png").read_bytes()
+    (folder / "left1.png").write_bytes(content[: len(content) // 2])
+    (folder / "right2.png").write_text("this is no picture")
+    found = detect_pairs(pairs_in(folder), BOARD)
+    reasons = {view.name: view.reason for view in found.rejected}
+    assert found.detections.names == ("0", "3")
+    assert "left1.png is a truncated PNG" in reasons["1"] and "right2.png is not a picture but text" in reasons["2"]
+
+
+def test_a_view_of_one_camera_is_kept_with_a_note_and_of_none_is_rejected(folder):
+    for level, name in ((100, "left1"), (110, "left2"), (120, "right2")):
+        cv2.imwrite(str(folder / f"{name}.png"), np.full((480, 640), level, np.uint8))
+    found = detect_pairs(pairs_in(folder), BOARD)
+    assert found.detections.names == ("0", "1", "3")
+    assert np.isnan(found.detections.left_px[1]).all() and np.isfinite(found.detections.right_px[1]).all()
+    assert "view 1 is used for the right camera only: left1.png: the picture is blank" in found.notes[0]
+    assert found.rejected[0].name == "2" and found.rejected[0].reason.count("blank") == 2
+
+
+def test_one_picture_of_another_size_is_rejected_and_half_of_them_are_refused(folder):
+    small = cv2.resize(cv2.imread(str(folder / "left1.png"), 0), (320, 240))
+    cv2.imwrite(str(folder / "left1.png"), small)
+    found = detect_pairs(pairs_in(folder), BOARD)
+    assert "left1.png is 320x240, the other left pictures are 640x480" in found.rejected[0].reason
+    cv2.imwrite(str(folder / "left2.png"), small)
+    with pytest.raises(DataError, match=r"differ in size.*640x480.*320x240|differ in size.*320x240.*640x480"):
+        detect_pairs(pairs_in(folder), BOARD)
+
+
+def test_left_and_right_may_differ_in_size(folder):
+    for i in range(4):
+        path = str(folder / f"right{i}.png")
+        cv2.imwrite(path, cv2.resize(cv2.imread(path, 0), (960, 720)))
+    found = detect_pairs(pairs_in(folder), BOARD)
+    assert found.detections.right_size_wh == (960, 720) and "640x480, right ones 960x720" in found.notes[-1]
+
+
+@pytest.mark.parametrize("spec", ["chessboard:6x5:30mm", "chessboard:8x6:30mm", "chessboard:9x7:30mm"])
+def test_a_wrong_size_ends_with_the_right_one(folder, spec):
+    with pytest.raises(DetectionError, match=r"found in none of 8 pictures .*did you mean chessboard:7x6\?") as caught:
+        detect_pairs(pairs_in(folder), parse_board(spec))
+    assert set(caught.value.reasons) == {f"{side}{i}.png" for side in ("left", "right") for i in range(4)}
+    assert "\n" not in str(caught.value)
+
+
+def test_another_kind_of_board_is_recognised(folder):
+    with pytest.raises(DetectionError, match=r"7x6 chessboard in .*did you mean chessboard:7x6\?"):
+        detect_pairs(pairs_in(folder), parse_board("circles:7x6:30mm"))
+
+
+def test_marker_boards_agree_on_one_layout_and_other_families_are_named(tmp_path, shoot):
+    spec = "charuco:7x6:30mm:22mm:DICT_5X5_50"
+    for i, turn in enumerate(TURNS[:2]):
+        shot = shoot(spec, turn, distance=1.9, size_wh=(800, 600), is_legacy_charuco=True)
+        cv2.imwrite(str(tmp_path / f"left{i}.png"), shot.image)
+        cv2.imwrite(str(tmp_path / f"right{i}.png"), shot.image[:, ::1] // 2 + 40)
+    near = shoot(spec, distance=0.8, size_wh=(800, 600), is_legacy_charuco=True)
+    cv2.imwrite(str(tmp_path / "left2.png"), near.image)
+    cv2.imwrite(str(tmp_path / "right2.png"), near.image // 2 + 40)
+    found = detect_pairs(pairs_in(tmp_path), parse_board(spec))
+    assert found.detections.names == ("0", "1", "2") and not any("layout" in note for note in found.notes)
+    seen = found.detections.left_is_seen[2]
+    assert np.abs(found.detections.left_px[2] - near.corners_px)[seen].max() < 0.3  # read alone it is off by a column
+    with pytest.raises(DetectionError, match=r"markers of the family DICT_5X5"):
+        detect_pairs(pairs_in(tmp_path), parse_board("charuco:7x6:30mm:22mm:DICT_6X6_50"))
+    with pytest.raises(DetectionError, match=r"did you mean charuco:7x6|fit a board 7 squares wide"):
+        detect_pairs(pairs_in(tmp_path), parse_board("charuco:6x7:30mm:22mm:DICT_5X5_50"))
+
+
+def test_the_caller_can_stop(folder):
+    with pytest.raises(CancelledError, match=r"of 8 pictures"):
+        detect_pairs(pairs_in(folder), BOARD, should_stop=lambda: True, n_threads=1)
+
+
+def test_preprocessing_is_passed_on(folder):
+    plain, prepared = (detect_pairs(pairs_in(folder), BOARD, preprocess=flag) for flag in (False, True))
+    difference = plain.detections.left_px - prepared.detections.left_px
+    assert 0 < np.abs(difference).max() < 0.2
+
+
+def test_opencvs_threads_come_back(folder):
+    before = cv2.getNumThreads()
+    detect_pairs(pairs_in(folder), BOARD)
+    assert cv2.getNumThreads() == before
+
+
+def test_nothing_to_read(tmp_path):
+    with pytest.raises(DataError, match=r"no pair"):
+        detect_pairs((), BOARD)
+    pair = PicturePair("0", tmp_path / "left.png", tmp_path / "right.png")
+    with pytest.raises(DataError, match=r"none of the 2 pictures can be read.*no such file"):
+        detect_pairs((pair,), BOARD)

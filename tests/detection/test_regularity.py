@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import numpy as np
+
+from binocal.detection.regularity import find_irregular, fit_homography, grid_residuals
+
+H = np.array([[60.0, 8, 120], [-5, 58, 90], [0.01, 0.02, 1]])
+
+
+def grid(columns=9, rows=6):
+    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
+
+
+def project(xy):
+    mapped = np.column_stack([xy, np.ones(len(xy))]) @ H.T
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def test_a_homography_is_recovered():
+    xy = grid()
+    assert np.allclose(fit_homography(xy, project(xy)) / fit_homography(xy, project(xy))[2, 2], H, atol=1e-9)
+    assert np.isnan(fit_homography(xy[:3], project(xy[:3]))).all()
+
+
+def test_a_plane_through_a_bent_lens_is_regular():
+    points = project(grid())
+    centred = (points - points.mean(axis=0)) / 300
+    bent = points + centred * (centred**2).sum(axis=1, keepdims=True) * -40
+    assert grid_residuals(grid(), bent).max() < 2.5  # measured 2.1, the lens bends by 60 px
+    assert not find_irregular(grid(), bent, np.full(54, 50.0)).any()
+
+
+def test_wild_points_are_named_and_no_others():
+    points = project(grid())
+    points[[7, 30]] += [9, -12]
+    assert np.nonzero(find_irregular(grid(), points, np.full(54, 50.0)))[0].tolist() == [7, 30]
+
+
+def test_mirrored_and_shuffled_grids_are_irregular():
+    mirrored = project(grid()).reshape(6, 9, 2)[:, ::-1].reshape(-1, 2)
+    assert find_irregular(grid(), mirrored, np.full(54, 50.0)).all()
+    shuffled = np.random.default_rng(0).permutation(project(grid()))
+    assert find_irregular(grid(), shuffled, np.full(54, 50.0)).mean() > 0.5
