@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from rigs import assert_same_rig, make_calibration, make_rig
 
 from binocal.errors import FormatError
 from binocal.formats import native, opencv_yaml
 from binocal.formats.rig_file import load_rig
+from rigs import assert_same_rig, make_calibration, make_rig
 
 
 def test_both_formats_come_through_one_door(tmp_path):
