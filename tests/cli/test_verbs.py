@@ -205,6 +205,7 @@ def test_evaluate_on_pictures(rooms, capsys):
     assert one_document(capsys)["relative_length_error_percent"]["rms"] < 1e-6
 
 
+@pytest.mark.slow
 def test_demo(rooms, capsys):
     assert main(["demo", "--output", "demo"]) == 0
     out = capsys.readouterr().out

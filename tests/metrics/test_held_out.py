@@ -28,6 +28,7 @@ def test_the_true_rig_has_no_error_and_the_bound_is_stated(scene_and_bound):
         assert criterion.value < 1e-7 < criterion.bound
 
 
+@pytest.mark.slow
 def test_a_rig_from_the_bound_scores_about_one(scene_and_bound):
     scene, bound = scene_and_bound
     exact = simulate_detections(scene, np.random.default_rng(1))
