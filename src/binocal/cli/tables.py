@@ -12,7 +12,7 @@ import numpy as np
 
 from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TruthEvaluation
 from binocal.cameras import StereoRig, camera_model
-from binocal.cli.running import one_line
+from binocal.cli.exits import one_line
 from binocal.metrics.pose import ParameterError
 from binocal.result import RejectedView, StereoCalibration
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from binocal import __version__
-from binocal.cli.running import BELOW_QUALITY, FINE
+from binocal.cli.exits import BELOW_QUALITY, FINE
 
 app = typer.Typer(
     add_completion=False,
