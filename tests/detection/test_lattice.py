@@ -3,7 +3,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from binocal.detection.lattice import continues_beyond, find_lattices, predict_missing
+from binocal.detection.lattice import continues_beyond, find_lattices, link_corners, predict_missing
 from binocal.detection.xcorners import SaddlePicture, find_x_corners, read_rings, sample
 
 
@@ -13,6 +13,11 @@ def smooth_of(image):
 
 def saddles_of(image):
     return SaddlePicture.of(smooth_of(image), 3.0)
+
+
+def lattices_of(saddles):
+    corners = find_x_corners(saddles)
+    return find_lattices(saddles, corners, link_corners(saddles, corners))
 
 
 def test_x_corners_are_the_boards_and_their_rays_follow_the_edges(shoot):
@@ -37,7 +42,7 @@ def test_edges_and_flat_areas_are_no_corners():
 def test_a_lattice_has_the_boards_size_and_order(shoot):
     shot = shoot("chessboard:9x6:30mm")
     saddles = saddles_of(shot.image)
-    lattice = find_lattices(saddles, find_x_corners(saddles))[0]
+    lattice = lattices_of(saddles)[0]
     assert lattice.size == (9, 6) and lattice.n_seen == 54
     a, b = lattice.points_px[0, 1] - lattice.points_px[0, 0], lattice.points_px[1, 0] - lattice.points_px[0, 0]
     assert a[0] * b[1] - a[1] * b[0] > 0  # not mirrored
@@ -46,7 +51,7 @@ def test_a_lattice_has_the_boards_size_and_order(shoot):
 
 def test_a_part_of_a_board_is_seen_to_continue(shoot):
     saddles = saddles_of(shoot("chessboard:9x6:30mm").image)
-    lattice = find_lattices(saddles, find_x_corners(saddles))[0]
+    lattice = lattices_of(saddles)[0]
     part = type(lattice)(lattice.points_px[:, :-1], lattice.is_dark_first, lattice.contrast_dn)
     assert continues_beyond(saddles, part)
 

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
-from binocal.detection.lattice import Lattice, continues_beyond, find_lattices
+from binocal.detection.lattice import Lattice, continues_beyond, find_lattices, link_corners
 from binocal.detection.refinement import corner_covariance, refine_corners
 from binocal.detection.regularity import find_irregular
 from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings, sample
@@ -116,25 +116,42 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
         pyramid.append(cv2.resize(pyramid[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
     most = 1200 if size is None else max(400, 4 * size[0] * size[1])
-    for halved, sigma, radius_px in _level_settings(halvings):
-        scale = 0.5**halved
+    most_linked = 0
+    for halved, sigma, radius_px, least_linked in _level_settings(halvings):
+        if most_linked < least_linked:
+            continue
         if halved < 0:
             scaled = cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         else:
             scaled = pyramid[halved]
-        if halved > 0:
+        if halved == halvings:
             scaled = scaled.astype(np.float32)
         saddles = SaddlePicture.of(cv2.GaussianBlur(scaled, (0, 0), sigma), radius_px)
         corners = find_x_corners(saddles, most=most)
-        yield _Level(saddles, scale, find_lattices(saddles, corners, least=least, size=size))
+        groups = link_corners(saddles, corners)
+        most_linked = max([most_linked, *map(len, groups[:1])])
+        yield _Level(saddles, 0.5**halved, find_lattices(saddles, corners, groups, least=least, size=size))
 
 
-def _level_settings(halvings: int) -> list[tuple[int, float, float]]:
-    """Halvings of the picture, smoothing and ring radius (pixels of the halved picture) of each search, in order."""
+def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
+    """The searches in order: halvings of the picture, smoothing and ring radius in pixels of the halved picture.
+
+    The last number is how many linked corners earlier searches must have seen: chance links no more than four, and the
+    dear searches only help where squares are small, blurred or noisy, but seen in part.
+    """
     if halvings == 0:
-        return [(0, 1.2, 4.0), (0, 0.8, 2.6), (-1, 1.2, 3.5)]
-    coarse_to_fine = [(halved, 1.2, 4.0) for halved in range(halvings - 1, 0, -1)]
-    return [(halvings, 0.8, 2.6), *coarse_to_fine, (0, 1.5, 5.0), (halvings, 1.5, 5.0), (0, 1.0, 3.0)]
+        return [(0, 1.2, 4.0, 0), (0, 0.8, 2.6, 0), (-1, 1.2, 3.5, 0)]
+    middle = [(halved, 1.2, 4.0, 0) for halved in range(halvings - 1, 0, -1)]
+    if halvings == 1:
+        return [(1, 0.8, 2.6, 0), (0, 1.2, 4.0, 0), (1, 1.5, 5.0, 4), (0, 1.0, 3.0, 4)]
+    return [
+        (halvings, 0.8, 2.6, 0),
+        *middle,
+        (1, 0.8, 2.6, 0),
+        (0, 1.5, 5.0, 5),
+        (halvings, 1.5, 5.0, 5),
+        (0, 1.0, 3.0, 5),
+    ]
 
 
 def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattice]:

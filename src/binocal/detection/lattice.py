@@ -57,9 +57,40 @@ class Lattice:
         return max(rows, columns), min(rows, columns)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerGroup:
+    """Corners linked along their edges: indices, integer cells (column, row), turns of their rays, number of links."""
+
+    members: Int[ndarray, "m"]
+    cells: Int[ndarray, "m 2"]
+    turns: Int[ndarray, "m"]
+    n_links: int
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def is_whole(self, size: tuple[int, int] | None) -> bool:
+        """Whether it is a grid of ``size`` without holes and (nearly) without missing links."""
+        columns, rows = (int(n) for n in np.ptp(self.cells, axis=0) + 1)
+        n_edges = 2 * columns * rows - columns - rows
+        is_full = len(self) == columns * rows and self.n_links >= 0.97 * n_edges
+        return is_full and size == (max(columns, rows), min(columns, rows))
+
+
+def link_corners(saddles: SaddlePicture, corners: XCorners) -> list[CornerGroup]:
+    """The corners in connected groups, the largest first."""
+    if len(corners) < 2:
+        return []
+    neighbour, back_ray = _link(saddles.smooth, corners)
+    n_ends = (neighbour >= 0).sum(axis=1)
+    groups = [CornerGroup(*group, int(n_ends[group[0]].sum()) // 2) for group in _grow(neighbour, back_ray)]
+    return sorted(groups, key=lambda group: -len(group))
+
+
 def find_lattices(
     saddles: SaddlePicture,
     corners: XCorners,
+    groups: list[CornerGroup],
     *,
     least: int = 9,
     size: tuple[int, int] | None = None,
@@ -68,15 +99,15 @@ def find_lattices(
 
     With a ``size`` (corners along the longer and the shorter side) weak border rows are looked for until it is reached.
     """
-    if len(corners) < least:
-        return []
-    neighbour, back_ray = _link(saddles.smooth, corners)
     lattices = []
     joined = np.zeros(len(corners), bool)
-    for group in sorted(_grow(neighbour, back_ray), key=lambda group: -len(group[0])):
-        if len(group[0]) < least or 2 * joined[group[0]].sum() > len(group[0]):
+    for group in groups:
+        if len(group) < least or 2 * joined[group.members].sum() > len(group):
             continue
-        members, cells, turns = _join(corners, group)
+        is_whole = group.is_whole(size)
+        members, cells, turns = group.members, group.cells, group.turns
+        if not is_whole:
+            members, cells = _join(corners, group)
         joined[members] = True
         low = cells.min(axis=0)
         columns, rows = cells.max(axis=0) - low + 1
@@ -89,6 +120,9 @@ def find_lattices(
         # opposite.
         column, row = cells[0] - low
         is_bright_first = (turns[0] % 2 == 0) ^ bool((column + row) % 2)
+        if is_whole:
+            lattices.append(Lattice(grid[..., :2], not is_bright_first, float(np.median(grid[..., 2]))))
+            continue
         grid = _fill(saddles, grid, is_bright_first)
         grid, is_bright_first = _trim(saddles.smooth, grid, is_bright_first)
         if size is not None and 2 * len(members) > size[0] * size[1]:
@@ -181,18 +215,16 @@ def _grow(neighbour: ndarray, back_ray: ndarray) -> list[tuple[ndarray, ndarray,
     return groups
 
 
-def _join(
-    corners: XCorners, group: tuple[Int[ndarray, "m"], Int[ndarray, "m 2"], Int[ndarray, "m"]]
-) -> tuple[Int[ndarray, "k"], Int[ndarray, "k 2"], Int[ndarray, "m"]]:
+def _join(corners: XCorners, group: CornerGroup) -> tuple[Int[ndarray, "k"], Int[ndarray, "k 2"]]:
     """The group with corners beyond gaps in it: those that its homography puts on free cells, with the right colours.
 
     A shadow's border, or a blurred strip, breaks the links between two parts of one board. At most two cells are
     bridged at a time, so that the lens's distortion stays within the fifth of a cell that is allowed.
     """
-    members, cells, turns = group
+    members, cells, turns = group.members, group.cells, group.turns
     extent = np.ptp(cells, axis=0) + 1
     if len(members) < MIN_TO_JOIN or extent.min() < 3:
-        return group
+        return members, cells
     parity_of_first = (turns[0] + cells[0].sum()) % 2  # of ray 0's turn at even cells
     is_free = np.ones(len(corners), bool)
     is_free[members] = False
@@ -224,7 +256,7 @@ def _join(
             break
         members, cells = np.r_[members, new[chosen]], np.concatenate([cells, places[chosen]])
         is_free[new[chosen]] = False
-    return members, cells, turns
+    return members, cells
 
 
 def _fill(saddles: SaddlePicture, grid: ndarray, is_bright_first: bool, *, least: int = 2) -> ndarray:

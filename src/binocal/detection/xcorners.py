@@ -7,6 +7,7 @@ Bennett & Lasenby 2014, ChESS).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,13 +16,14 @@ import numpy as np
 from numpy import ndarray
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, UInt8
+    from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 N_RING = 32  # samples on a ring: 11 degrees apart, fine enough for sectors of 30 degrees
 MIN_CONTRAST_DN = 6.0  # of 255; ring contrast below it is noise in every camera tried
 # Opposite samples of a ring agree to 0.35 of its contrast: this admits shading across the ring and a centre that is off
 # by a fifth of the radius.
 MAX_UNLIKENESS = 0.35
+_STRIP_PIXELS = 1 << 16  # four float planes of a strip are 1 MB
 _FOLLOWING = np.roll(np.arange(N_RING), -1)
 _ANGLES = 2 * np.pi * np.arange(N_RING) / N_RING
 _RING = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1).astype(np.float32)
@@ -61,28 +63,57 @@ class SaddlePicture:
 def saddle_response(smooth: ndarray) -> Float32[ndarray, "h w"]:
     """Minus the determinant of the Hessian: positive at saddles, zero along edges. ``smooth`` is uint8 or float32."""
     depth = cv2.CV_16S if smooth.dtype == np.uint8 else cv2.CV_32F
-    xx = cv2.Sobel(smooth, depth, 2, 0, ksize=3)
-    yy = cv2.Sobel(smooth, depth, 0, 2, ksize=3)
-    xy = cv2.Sobel(smooth, depth, 1, 1, ksize=3)
-    # ksize-3 kernels sum their smoothing to 4 (second derivatives) and 4 (mixed: 2 x 2), so products carry 16.
-    response = cv2.multiply(xy, xy, scale=1 / 16, dtype=cv2.CV_32F)
-    return cv2.subtract(response, cv2.multiply(xx, yy, scale=1 / 16, dtype=cv2.CV_32F), dst=response)
+    height, width = smooth.shape
+    response = np.empty((height, width), np.float32)
+    for start, stop in _strips(height, width):
+        low, high = max(0, start - 1), min(height, stop + 1)
+        strip, inner = smooth[low:high], slice(start - low, stop - low)
+        xx = cv2.Sobel(strip, depth, 2, 0, ksize=3)[inner]
+        yy = cv2.Sobel(strip, depth, 0, 2, ksize=3)[inner]
+        xy = cv2.Sobel(strip, depth, 1, 1, ksize=3)[inner]
+        # ksize-3 kernels sum their smoothing to 4 (second derivatives) and 4 (mixed: 2 x 2), so products carry 16.
+        square = cv2.multiply(xy, xy, scale=1 / 16, dtype=cv2.CV_32F)
+        cv2.subtract(square, cv2.multiply(xx, yy, scale=1 / 16, dtype=cv2.CV_32F), dst=response[start:stop])
+    return response
+
+
+def _strips(height: int, width: int) -> Iterator[tuple[int, int]]:
+    """Rows in strips that the processor's cache holds, which halves the time on large pictures."""
+    rows = max(16, _STRIP_PIXELS // width)
+    return ((start, min(start + rows, height)) for start in range(0, height, rows))
+
+
+def _find_peaks(response: Float32[ndarray, "h w"], size: int, margin: int, least: float) -> Int[ndarray, "n 2"]:
+    """Columns and rows of the response's maxima in windows of ``size``, ``margin`` from the border, above ``least``."""
+    height, width = response.shape
+    kernel = np.ones((size, size), np.uint8)
+    found = []
+    for start, stop in _strips(height, width):
+        low, high = max(0, start - size), min(height, stop + size)
+        highest = cv2.dilate(response[low:high], kernel)[start - low : stop - low]
+        peaks = cv2.compare(response[start:stop], cv2.max(highest, least), cv2.CMP_GE)
+        peaks[:, :margin], peaks[:, -margin:] = 0, 0
+        peaks[: max(0, margin - start)] = 0
+        peaks[max(0, height - margin - start) :] = 0
+        at = cv2.findNonZero(peaks)
+        if at is not None:
+            found.append(at.reshape(-1, 2) + np.array([0, start]))  # (n, 1, 2) before OpenCV 5
+    return np.concatenate(found) if found else np.zeros((0, 2), int)
 
 
 def find_x_corners(saddles: SaddlePicture, *, most: int = 1200) -> XCorners:
     """X-corners of a smoothed grey picture, read on rings. The ``most`` strongest saddles are tried."""
     response, radius_px = saddles.response, saddles.radius_px
     size = 2 * max(1, round(0.6 * radius_px)) + 1
-    # A saddle of contrast c blurred by about s px has a response of about (c / 2 / s^2 / 3)^2.
-    least = (MIN_CONTRAST_DN / (3 * radius_px)) ** 2
-    highest = cv2.max(cv2.dilate(response, np.ones((size, size), np.uint8)), least)
-    peaks = cv2.compare(response, highest, cv2.CMP_GE)
-    margin = int(np.ceil(radius_px)) + 1
-    peaks[:margin], peaks[-margin:], peaks[:, :margin], peaks[:, -margin:] = 0, 0, 0, 0
-    at = cv2.findNonZero(peaks)
-    if at is None:
+    # A saddle of contrast c blurred by about s px has a response of about (c / 2 / s^2 / 3)^2. Corners cover a few
+    # hundredths of a picture at most, and peak far above what a tenth of its pixels reach.
+    sparse = response[::8, ::8].ravel()
+    tenth = float(np.partition(sparse, int(0.9 * sparse.size))[int(0.9 * sparse.size)])
+    least = max((MIN_CONTRAST_DN / (3 * radius_px)) ** 2, 0.5 * tenth)
+    at = _find_peaks(response, size, int(np.ceil(radius_px)) + 1, least)
+    if len(at) == 0:
         return XCorners(np.zeros((0, 2), np.float32), np.zeros((0, 4)), np.zeros(0))
-    columns, rows = at.reshape(-1, 2).T  # (n, 1, 2) before OpenCV 5
+    columns, rows = at.T
     if len(rows) > most:
         strongest = np.argpartition(response[rows, columns], -most)[-most:]
         rows, columns = rows[strongest], columns[strongest]
