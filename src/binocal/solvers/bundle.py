@@ -20,8 +20,8 @@ from numpy import ndarray
 
 from binocal.cameras import CameraModel
 from binocal.geometry import so3
+from binocal.native import ViewEquations, accumulate, squared_lengths
 from binocal.solvers import robust
-from binocal.solvers.accumulate import ViewEquations, accumulate, squared_lengths
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -140,7 +140,7 @@ def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple
 def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> Float[ndarray, "*batch corners"]:
     """Squared residual lengths of all cameras, flattened; 0 where not seen."""
     lengths2 = [
-        squared_lengths(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
+        squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
         for c, parameters, (R, t) in zip(
             problem.cameras, estimate.parameters, camera_poses(problem, estimate), strict=True
         )
@@ -154,7 +154,9 @@ def linearize(
     """Residuals and normal equations of all cameras at an estimate."""
     poses = camera_poses(problem, estimate)
     equations = tuple(
-        accumulate(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel)
+        accumulate(
+            c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel, c.is_free
+        )
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )
     cost = sum(e.cost_px2.sum(axis=-1) for e in equations)

@@ -1,0 +1,145 @@
+"""The one door to the compiled kernel: the inner loop of the joint solver.
+
+Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
+T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
+of the rig and of the board poses with adjoints (:mod:`binocal.solvers.bundle`).
+
+The kernel holds no lock while it works and gives the same result for any number of threads. Its formulas are those of
+:mod:`binocal.cameras` and :mod:`binocal.solvers.robust`; tests/native states them plainly in NumPy and compares.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy import ndarray
+
+try:
+    from binocal.native import _kernel
+except ImportError as error:
+    raise ImportError(
+        "binocal's compiled kernel is missing or was built for another Python; install binocal with pip "
+        "(from a working tree: make, or pip install -e .)"
+    ) from error
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+CORNERS_PER_THREAD = 20_000  # half a millisecond of work; starting a thread costs some 30 microseconds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewEquations:
+    """Normal equations of every view of one camera.
+
+    ``gram`` is the weighted Gram matrix of the columns [parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one; 0
+    in the rows and columns of parameters that are held.
+    ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost
+    per view; inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
+    """
+
+    gram: Float[ndarray, "*batch views q q"]
+    r2_px2: Float[ndarray, "*batch views n"]
+    cost_px2: Float[ndarray, "*batch views"]
+
+
+def n_cpus() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+_N_CPUS = n_cpus()
+
+
+def _n_threads(n_corners: int) -> int:
+    return min(_N_CPUS, 1 + n_corners // CORNERS_PER_THREAD)
+
+
+def accumulate(
+    model: str,
+    parameters: Float[ndarray, "*batch p"],
+    R_camera_board: Float[ndarray, "*batch views 3 3"],
+    t_camera_board: Float[ndarray, "*batch views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    is_seen: Bool[ndarray, "*batch views n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+    is_free: Bool[ndarray, "p"] | None = None,
+) -> ViewEquations:
+    """Linearise every corner of every view.
+
+    ``pixels`` must be finite where not seen too (any number). Parameters that are not ``is_free`` (default: all are)
+    get no columns, which saves their time.
+    """
+    *batch, n_views, n = is_seen.shape
+    q = parameters.shape[-1] + 7
+    n_rigs = int(np.prod(batch, dtype=int))
+    gram = np.empty((*batch, n_views, q, q))
+    r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
+    free = np.ones(q - 7, dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
+    scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
+    arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
+    _kernel.accumulate(model, *arrays, free, scale, kernel, gram, r2, cost, _n_threads(r2.size))
+    return ViewEquations(gram, r2, cost)
+
+
+def squared_lengths(
+    model: str,
+    parameters: Float[ndarray, "*batch p"],
+    R_camera_board: Float[ndarray, "*batch views 3 3"],
+    t_camera_board: Float[ndarray, "*batch views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    is_seen: Bool[ndarray, "*batch views n"],
+) -> Float[ndarray, "*batch views n"]:
+    """Squared residual lengths alone. 0 where not seen, inf where not finite."""
+    n_rigs = int(np.prod(is_seen.shape[:-2], dtype=int))
+    r2 = np.empty(is_seen.shape)
+    arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
+    _kernel.squared_lengths(model, *arrays, r2, _n_threads(r2.size // 4))
+    return r2
+
+
+def unweighted_columns(
+    model: str,
+    parameters: Float[ndarray, "p"],
+    R_camera_board: Float[ndarray, "views 3 3"],
+    t_camera_board: Float[ndarray, "views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "views 2 n"],
+    is_seen: Bool[ndarray, "views n"],
+) -> Float[ndarray, "views q 2n"]:
+    """The columns [parameters, xi (6), residual] themselves, of one rig, for solvers that must not square them."""
+    n_views, n = is_seen.shape
+    columns = np.empty((n_views, len(parameters) + 7, 2 * n))
+    _kernel.unweighted_columns(
+        model, *_flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, 1), columns
+    )
+    return columns
+
+
+def _flat(
+    parameters: ndarray,
+    R: ndarray,
+    t: ndarray,
+    object_points: ndarray,
+    pixels: ndarray,
+    is_seen: ndarray,
+    n_rigs: int,
+) -> tuple[ndarray, ...]:
+    """Contiguous arrays with the batch dimensions made one."""
+    n = is_seen.shape[-1]
+    return (
+        np.ascontiguousarray(parameters, dtype=float).reshape(n_rigs, -1),
+        np.ascontiguousarray(R, dtype=float).reshape(-1, 3, 3),
+        np.ascontiguousarray(t, dtype=float).reshape(-1, 3),
+        np.ascontiguousarray(object_points, dtype=float),
+        np.ascontiguousarray(pixels, dtype=float).reshape(-1, 2, n),
+        np.ascontiguousarray(is_seen).reshape(-1, n),
+    )

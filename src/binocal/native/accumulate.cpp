@@ -1,0 +1,567 @@
+// Residuals, Jacobians and per-view normal equations of one camera (binocal.native says what the arrays mean).
+//
+// A view is linearised column by column: every column of [parameters, xi, residual] is a run of u entries followed by
+// one of v entries, padded with zeros to whole vectors, so that both the camera model and the Gram matrix are plain
+// loops over corners. Views are independent; each is summed in one fixed order, whatever the number of threads.
+
+#include "kernel.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+
+#if defined(__GNUC__)
+#define BINOCAL_INLINE [[gnu::always_inline]] inline
+#else
+#define BINOCAL_INLINE inline
+#endif
+#if defined(__clang__)
+#define BINOCAL_INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")
+#elif defined(__GNUC__)
+#define BINOCAL_INDEPENDENT _Pragma("GCC ivdep")
+#else
+#define BINOCAL_INDEPENDENT __pragma(loop(ivdep))
+#endif
+// One build serves every x86-64 machine: glibc's loader picks the widest copy that the processor runs. Elsewhere the
+// compiler's baseline (NEON on Arm) is all there is.
+#if defined(__GNUC__) && defined(__x86_64__) && defined(__GLIBC__) && (!defined(__clang__) || __clang_major__ >= 17)
+#define BINOCAL_CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+#else
+#define BINOCAL_CLONES
+#endif
+
+namespace binocal {
+namespace {
+
+constexpr double kHampelFlat = 3.5, kHampelDrop = 4.5, kHampelEnd = 7.0;  // binocal.solvers.robust
+constexpr int kLanes = 4;        // doubles of one vector; runs are padded to two of them
+constexpr int kMaxColumns = 20;  // brown8: 13 parameters, 6 pose columns, the residual
+
+enum class Kernel { squared, cauchy, hampel };
+
+struct Task {
+    std::size_t n_views, views_per_rig, n;  // views of all rigs, views of one, corners of a view
+    int p;                                  // parameters of the model
+    const double *parameters, *R, *t, *points, *pixels, *scale;
+    const bool *is_seen, *is_free;
+    bool any_free, sees_behind;
+    Kernel kernel;
+    double *gram, *r2, *cost;  // of accumulate
+    double* columns;           // of unweighted_columns, else null
+};
+
+// Room for one view, one per thread: the columns, weights, depths and squared lengths.
+struct Scratch {
+    std::size_t run;     // padded corners
+    std::size_t stride;  // from column to column: u run, v run
+    std::vector<double> memory;
+    double *J, *trash, *weight, *Z, *length2;
+    explicit Scratch(std::size_t n) : run((n + 2 * kLanes - 1) / (2 * kLanes) * (2 * kLanes)), stride(2 * run) {
+        memory.assign((kMaxColumns + 1) * stride + 3 * run + 8, 0.0);
+        auto address = reinterpret_cast<std::uintptr_t>(memory.data());
+        J = memory.data() + (64 - address % 64) % 64 / sizeof(double);
+        trash = J + kMaxColumns * stride;
+        weight = trash + stride;
+        Z = weight + run;
+        length2 = Z + run;
+    }
+};
+
+// Each model fills the parameter columns (only if Full) and returns u, v and their gradients by X, Y, Z of one corner.
+struct Projection {
+    double u, v, ux, uy, uz, vx, vy, vz;
+};
+
+template <int D>
+struct Brown {
+    static constexpr int n_parameters = 5 + D;
+    static constexpr bool is_vectorised = true;
+    double fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6;
+    explicit Brown(const double* a)
+        : fx(a[0]), fy(a[1]), cx(a[2]), cy(a[3]), skew(a[4]), k1(a[5]), k2(a[6]), p1(a[7]), p2(a[8]),
+          k3(D > 4 ? a[D > 4 ? 9 : 0] : 0), k4(D > 5 ? a[D > 5 ? 10 : 0] : 0), k5(D > 5 ? a[D > 5 ? 11 : 0] : 0),
+          k6(D > 5 ? a[D > 5 ? 12 : 0] : 0) {}
+
+    template <bool Full>
+    BINOCAL_INLINE Projection at(double X, double Y, double Z, double* const* c, std::size_t j, std::size_t run) const {
+        const double inverse_Z = 1.0 / Z;
+        const double a = X * inverse_Z, b = Y * inverse_Z;
+        const double a2 = a * a, b2 = b * b, ab = a * b, r2 = a2 + b2;
+        double factor, slope, inverse_denominator = 1.0;
+        if constexpr (D == 4) {
+            factor = 1 + r2 * (k1 + r2 * k2);
+            slope = k1 + 2 * k2 * r2;
+        } else {
+            factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
+            slope = k1 + r2 * (2 * k2 + 3 * k3 * r2);
+        }
+        if constexpr (D == 8) {
+            inverse_denominator = 1.0 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+            factor *= inverse_denominator;
+            slope = (slope - factor * (k4 + r2 * (2 * k5 + 3 * k6 * r2))) * inverse_denominator;
+        }
+        const double two_ab = 2 * ab, t_a = r2 + 2 * a2, t_b = r2 + 2 * b2;
+        const double xd = a * factor + p1 * two_ab + p2 * t_a;
+        const double yd = b * factor + p1 * t_b + p2 * two_ab;
+        const double two_slope = 2 * slope;
+        const double xa = factor + two_slope * a2 + 2 * p1 * b + 6 * p2 * a;
+        const double xb = two_slope * ab + 2 * p1 * a + 2 * p2 * b;
+        const double yb = factor + two_slope * b2 + 6 * p1 * b + 2 * p2 * a;
+        const double fx_z = fx * inverse_Z, fy_z = fy * inverse_Z, skew_z = skew * inverse_Z;
+        Projection out;
+        out.u = fx * xd + skew * yd + cx;
+        out.v = fy * yd + cy;
+        out.ux = fx_z * xa + skew_z * xb;
+        out.uy = fx_z * xb + skew_z * yb;
+        out.vx = fy_z * xb;
+        out.vy = fy_z * yb;
+        out.uz = -(a * out.ux + b * out.uy);
+        out.vz = -(a * out.vx + b * out.vy);
+        if constexpr (Full) {
+            c[0][j] = xd, c[0][run + j] = 0;
+            c[1][j] = 0, c[1][run + j] = yd;
+            c[2][j] = 1, c[2][run + j] = 0;
+            c[3][j] = 0, c[3][run + j] = 1;
+            c[4][j] = yd, c[4][run + j] = 0;
+            const double r = D == 8 ? r2 * inverse_denominator : r2;
+            const double u1 = (fx * a + skew * b) * r, v1 = fy * b * r;
+            const double u2 = u1 * r2, v2 = v1 * r2;
+            c[5][j] = u1, c[5][run + j] = v1;
+            c[6][j] = u2, c[6][run + j] = v2;
+            c[7][j] = fx * two_ab + skew * t_b, c[7][run + j] = fy * t_b;
+            c[8][j] = fx * t_a + skew * two_ab, c[8][run + j] = fy * two_ab;
+            if constexpr (D > 4) {
+                const double u3 = u2 * r2, v3 = v2 * r2;
+                c[9][j] = u3, c[9][run + j] = v3;
+                if constexpr (D > 5) {
+                    c[10][j] = -factor * u1, c[10][run + j] = -factor * v1;
+                    c[11][j] = -factor * u2, c[11][run + j] = -factor * v2;
+                    c[12][j] = -factor * u3, c[12][run + j] = -factor * v3;
+                }
+            }
+        }
+        return out;
+    }
+
+    BINOCAL_INLINE void project(double X, double Y, double Z, double& u, double& v) const {
+        const double inverse_Z = 1.0 / Z;
+        const double a = X * inverse_Z, b = Y * inverse_Z;
+        const double r2 = a * a + b * b;
+        double factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        if constexpr (D == 8) factor /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6));
+        const double xd = a * factor + 2 * p1 * a * b + p2 * (r2 + 2 * a * a);
+        const double yd = b * factor + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b;
+        u = fx * xd + skew * yd + cx;
+        v = fy * yd + cy;
+    }
+};
+
+struct Fisheye {
+    static constexpr int n_parameters = 9;
+    double fx, fy, cx, cy, skew, k1, k2, k3, k4;
+    explicit Fisheye(const double* a)
+        : fx(a[0]), fy(a[1]), cx(a[2]), cy(a[3]), skew(a[4]), k1(a[5]), k2(a[6]), k3(a[7]), k4(a[8]) {}
+
+    template <bool Full>
+    BINOCAL_INLINE Projection at(double X, double Y, double Z, double* const* c, std::size_t j, std::size_t run) const {
+        const double r = std::sqrt(X * X + Y * Y);
+        const bool is_axis = r < 1e-15;  // on the axis itself the direction is x
+        const double inverse_r = is_axis ? 1.0 : 1.0 / r;
+        const double m = is_axis ? 1.0 : X * inverse_r, n = is_axis ? 0.0 : Y * inverse_r;
+        const double theta = std::atan2(r, Z), theta2 = theta * theta;
+        const double theta_d = theta * (1 + theta2 * (k1 + theta2 * (k2 + theta2 * (k3 + theta2 * k4))));
+        const double slope = 1 + theta2 * (3 * k1 + theta2 * (5 * k2 + theta2 * (7 * k3 + 9 * theta2 * k4)));
+        const double xd = m * theta_d, yd = n * theta_d;
+        const double inverse_rho2 = 1.0 / (r * r + Z * Z);
+        const double along = slope * Z * inverse_rho2;
+        const double across = is_axis ? along : theta_d * inverse_r;
+        const double depth = -slope * r * inverse_rho2;
+        const double xx = m * m * along + n * n * across, xy = m * n * (along - across);
+        const double yy = n * n * along + m * m * across, xz = m * depth, yz = n * depth;
+        if constexpr (Full) {
+            c[0][j] = xd, c[0][run + j] = 0;
+            c[1][j] = 0, c[1][run + j] = yd;
+            c[2][j] = 1, c[2][run + j] = 0;
+            c[3][j] = 0, c[3][run + j] = 1;
+            c[4][j] = yd, c[4][run + j] = 0;
+            const double u = fx * m + skew * n, v = fy * n;
+            double power = theta * theta2;
+            for (int k = 0; k < 4; ++k) {
+                c[5 + k][j] = u * power, c[5 + k][run + j] = v * power;
+                power *= theta2;
+            }
+        }
+        return {fx * xd + skew * yd + cx, fy * yd + cy,
+                fx * xx + skew * xy, fx * xy + skew * yy, fx * xz + skew * yz,
+                fy * xy, fy * yy, fy * yz};
+    }
+
+    BINOCAL_INLINE void project(double X, double Y, double Z, double& u, double& v) const {
+        const double r = std::sqrt(X * X + Y * Y);
+        const bool is_axis = r < 1e-15;
+        const double theta = std::atan2(r, Z), theta2 = theta * theta;
+        const double theta_d = theta * (1 + theta2 * (k1 + theta2 * (k2 + theta2 * (k3 + theta2 * k4))));
+        const double xd = is_axis ? theta_d : X / r * theta_d, yd = is_axis ? 0.0 : Y / r * theta_d;
+        u = fx * xd + skew * yd + cx;
+        v = fy * yd + cy;
+    }
+};
+
+// Columns, squared lengths and depths of one view.
+template <class Model, bool Full>
+BINOCAL_INLINE void fill(const Task& task, const Scratch& s, std::size_t view, double* const* column) {
+    const std::size_t n = task.n, run = s.run;
+    const Model model(task.parameters + view / task.views_per_rig * task.p);
+    const double* R = task.R + 9 * view;
+    const double* t = task.t + 3 * view;
+    const double R00 = R[0], R01 = R[1], R02 = R[2], R10 = R[3], R11 = R[4], R12 = R[5], R20 = R[6], R21 = R[7],
+                 R22 = R[8], t0 = t[0], t1 = t[1], t2 = t[2];
+    const double *x = task.points, *y = x + n, *z = y + n;
+    const double *pixel_u = task.pixels + 2 * n * view, *pixel_v = pixel_u + n;
+    constexpr int p = Model::n_parameters;
+    double *depth = s.Z, *length2 = s.length2;
+    double* c[p + 7];
+    std::copy(column, column + p + 7, c);
+    BINOCAL_INDEPENDENT
+    for (std::size_t j = 0; j < n; ++j) {
+        const double X = R00 * x[j] + R01 * y[j] + R02 * z[j] + t0;
+        const double Y = R10 * x[j] + R11 * y[j] + R12 * z[j] + t1;
+        const double Z = R20 * x[j] + R21 * y[j] + R22 * z[j] + t2;
+        const Projection g = model.template at<Full>(X, Y, Z, c, j, run);
+        c[p][j] = Y * g.uz - Z * g.uy, c[p][run + j] = Y * g.vz - Z * g.vy;
+        c[p + 1][j] = Z * g.ux - X * g.uz, c[p + 1][run + j] = Z * g.vx - X * g.vz;
+        c[p + 2][j] = X * g.uy - Y * g.ux, c[p + 2][run + j] = X * g.vy - Y * g.vx;
+        c[p + 3][j] = g.ux, c[p + 3][run + j] = g.vx;
+        c[p + 4][j] = g.uy, c[p + 4][run + j] = g.vy;
+        c[p + 5][j] = g.uz, c[p + 5][run + j] = g.vz;
+        const double e_u = pixel_u[j] - g.u, e_v = pixel_v[j] - g.v;
+        c[p + 6][j] = e_u, c[p + 6][run + j] = e_v;
+        depth[j] = Z;
+        length2[j] = e_u * e_u + e_v * e_v;
+    }
+}
+
+// Robust cost of the view; square roots of the weights go to s.weight, and the result tells whether any differs from 1.
+BINOCAL_INLINE double weigh(const Task& task, const Scratch& s, std::size_t view, bool& is_plain) {
+    const std::size_t n = task.n;
+    const bool* seen = task.is_seen + n * view;
+    const double* length2 = s.length2;
+    double* weight = s.weight;
+    const double scale = task.scale[view / task.views_per_rig], s2 = scale * scale;
+    std::size_t n_unseen = 0;
+    for (std::size_t j = 0; j < n; ++j) n_unseen += !seen[j];
+    is_plain = n_unseen == 0;
+    double cost = 0;
+    if (task.kernel == Kernel::squared) {
+        for (std::size_t j = 0; j < n; ++j) cost += 0.5 * length2[j];
+    } else if (task.kernel == Kernel::cauchy) {
+        is_plain = false;
+        for (std::size_t j = 0; j < n; ++j) {
+            const double q2 = length2[j] / s2;
+            weight[j] = std::sqrt(1 / (1 + q2));
+            cost += std::log1p(q2);
+        }
+        cost *= 0.5 * s2;
+    } else {
+        // Few corners lie beyond the flat part: those are gone through one by one.
+        const double flat2 = kHampelFlat * kHampelFlat * s2;
+        std::size_t n_beyond = 0;
+        double largest_parts[kLanes] = {};  // several sums, so that they need not wait for one another
+        std::size_t j = 0;
+        for (; j + kLanes <= n; j += kLanes) {
+            for (int k = 0; k < kLanes; ++k) {
+                const double l2 = length2[j + k];
+                n_beyond += l2 > flat2;
+                largest_parts[k] += 0.5 * l2;
+                weight[j + k] = 1.0;
+            }
+        }
+        for (; j < n; ++j) {
+            n_beyond += length2[j] > flat2;
+            largest_parts[0] += 0.5 * length2[j];
+            weight[j] = 1.0;
+        }
+        for (double part : largest_parts) cost += part;
+        if (n_beyond > 0) {
+            is_plain = false;
+            cost = 0;
+            constexpr double a = kHampelFlat, b = kHampelDrop, c = kHampelEnd;
+            for (std::size_t i = 0; i < n; ++i) {
+                if (!(length2[i] > flat2)) {
+                    cost += 0.5 * length2[i];
+                    continue;
+                }
+                const double q = std::sqrt(length2[i] / s2);
+                const double fall = std::clamp((c - q) / (c - b), 0.0, 1.0);
+                weight[i] = std::sqrt(a * fall / q);
+                const double rho =
+                    a * std::min(q, b) - 0.5 * a * a + (q > b ? 0.5 * a * (c - b) * (1 - fall * fall) : 0.0);
+                cost += rho * s2;
+            }
+        }
+    }
+    if (n_unseen > 0 && task.kernel == Kernel::squared) std::fill(weight, weight + n, 1.0);
+    return cost;
+}
+
+// 4 x 4 blocks of the upper triangle of J Jᵀ; m is a multiple of 4, stride of 8.
+BINOCAL_INLINE void gram_matrix(const double* J, std::size_t stride, int m, double* out) {
+#if defined(__GNUC__)
+    typedef double Vector __attribute__((vector_size(kLanes * sizeof(double)), aligned(sizeof(double))));
+    auto load = [](const double* from) __attribute__((always_inline)) { return *reinterpret_cast<const Vector*>(from); };
+    auto sum = [](Vector v) __attribute__((always_inline)) { return (v[0] + v[1]) + (v[2] + v[3]); };
+#endif
+    for (int row = 0; row < m; row += 4) {
+        for (int column = row; column < m; column += 4) {
+            const double *a = J + row * stride, *b = J + column * stride;
+#if defined(__GNUC__)
+            Vector s00{}, s01{}, s02{}, s03{}, s10{}, s11{}, s12{}, s13{}, s20{}, s21{}, s22{}, s23{}, s30{}, s31{},
+                s32{}, s33{};
+            for (std::size_t j = 0; j < stride; j += kLanes) {
+                const Vector b0 = load(b + j), b1 = load(b + stride + j), b2 = load(b + 2 * stride + j),
+                             b3 = load(b + 3 * stride + j);
+                const Vector a0 = load(a + j);
+                s00 += a0 * b0, s01 += a0 * b1, s02 += a0 * b2, s03 += a0 * b3;
+                const Vector a1 = load(a + stride + j);
+                s10 += a1 * b0, s11 += a1 * b1, s12 += a1 * b2, s13 += a1 * b3;
+                const Vector a2 = load(a + 2 * stride + j);
+                s20 += a2 * b0, s21 += a2 * b1, s22 += a2 * b2, s23 += a2 * b3;
+                const Vector a3 = load(a + 3 * stride + j);
+                s30 += a3 * b0, s31 += a3 * b1, s32 += a3 * b2, s33 += a3 * b3;
+            }
+            double* o = out + row * m + column;
+            o[0] = sum(s00), o[1] = sum(s01), o[2] = sum(s02), o[3] = sum(s03);
+            o += m;
+            o[0] = sum(s10), o[1] = sum(s11), o[2] = sum(s12), o[3] = sum(s13);
+            o += m;
+            o[0] = sum(s20), o[1] = sum(s21), o[2] = sum(s22), o[3] = sum(s23);
+            o += m;
+            o[0] = sum(s30), o[1] = sum(s31), o[2] = sum(s32), o[3] = sum(s33);
+#else
+            double sums[4][4][kLanes] = {};
+            for (std::size_t j = 0; j < stride; j += kLanes) {
+                for (int i = 0; i < 4; ++i) {
+                    for (int k = 0; k < 4; ++k) {
+                        for (int l = 0; l < kLanes; ++l) sums[i][k][l] += a[i * stride + j + l] * b[k * stride + j + l];
+                    }
+                }
+            }
+            for (int i = 0; i < 4; ++i) {
+                for (int k = 0; k < 4; ++k) {
+                    const double* s = sums[i][k];
+                    out[(row + i) * m + column + k] = (s[0] + s[1]) + (s[2] + s[3]);
+                }
+            }
+#endif
+        }
+    }
+}
+
+template <class Model, bool Full>
+BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
+    constexpr int p = Model::n_parameters, q = p + 7;
+    Scratch s(task.n);
+    double* column[q];
+    int place[q];  // of an outer column among the ones that are kept, or -1
+    int m = 0;
+    for (int i = 0; i < q; ++i) {
+        const bool is_kept = i >= p || task.is_free[i];
+        column[i] = is_kept ? s.J + m * s.stride : s.trash;
+        place[i] = is_kept ? m++ : -1;
+    }
+    const int padded = (m + 3) / 4 * 4;
+    double block[kMaxColumns * kMaxColumns];
+    for (std::size_t view = first; view < last; ++view) {
+        fill<Model, Full>(task, s, view, column);
+        const std::size_t n = task.n;
+        const bool* seen = task.is_seen + n * view;
+        bool is_impossible = false;
+        if (!task.sees_behind) {
+            for (std::size_t j = 0; j < n; ++j) is_impossible |= seen[j] && s.Z[j] <= 0;
+        }
+        for (std::size_t j = 0; j < n; ++j) s.length2[j] = seen[j] ? s.length2[j] : 0.0;
+        bool is_plain = true;
+        const double cost = weigh(task, s, view, is_plain);
+        if (!is_plain) {
+            for (std::size_t j = 0; j < n; ++j) s.weight[j] = seen[j] ? s.weight[j] : 0.0;
+            for (int i = 0; i < m; ++i) {
+                double* c = s.J + i * s.stride;
+                for (int half = 0; half < 2; ++half, c += s.run) {
+                    for (std::size_t j = 0; j < n; ++j) c[j] = s.weight[j] != 0 ? c[j] * s.weight[j] : 0.0;
+                }
+            }
+        }
+        std::memcpy(task.r2 + n * view, s.length2, n * sizeof(double));
+        task.cost[view] = is_impossible || !std::isfinite(cost) ? std::numeric_limits<double>::infinity() : cost;
+        gram_matrix(s.J, s.stride, padded, block);
+        double* gram = task.gram + static_cast<std::size_t>(q) * q * view;
+        for (int i = 0; i < q; ++i) {
+            for (int k = i; k < q; ++k) {
+                const double value = place[i] < 0 || place[k] < 0 ? 0.0 : block[place[i] * padded + place[k]];
+                gram[i * q + k] = gram[k * q + i] = value;
+            }
+        }
+    }
+}
+
+template <class Model>
+BINOCAL_INLINE void fill_columns(const Task& task, std::size_t first, std::size_t last) {
+    constexpr int p = Model::n_parameters, q = p + 7;
+    const std::size_t n = task.n;
+    Scratch s(n);
+    double* column[q];
+    for (int i = 0; i < q; ++i) column[i] = s.J + i * s.stride;
+    for (std::size_t view = first; view < last; ++view) {
+        fill<Model, true>(task, s, view, column);
+        const bool* seen = task.is_seen + n * view;
+        for (int row = 0; row < 2 * q; ++row) {
+            const double* from = s.J + row * s.run;
+            double* to = task.columns + (2 * q * view + row) * n;
+            for (std::size_t j = 0; j < n; ++j) to[j] = seen[j] ? from[j] : 0.0;
+        }
+    }
+}
+
+template <class Model>
+BINOCAL_INLINE void measure(const Task& task, std::size_t first, std::size_t last) {
+    const std::size_t n = task.n;
+    const double *x = task.points, *y = x + n, *z = y + n;
+    for (std::size_t view = first; view < last; ++view) {
+        const Model model(task.parameters + view / task.views_per_rig * task.p);
+        const double *R = task.R + 9 * view, *t = task.t + 3 * view, *pixel = task.pixels + 2 * n * view;
+        const bool* seen = task.is_seen + n * view;
+        double* out = task.r2 + n * view;
+        BINOCAL_INDEPENDENT
+        for (std::size_t j = 0; j < n; ++j) {
+            double u, v;
+            model.project(R[0] * x[j] + R[1] * y[j] + R[2] * z[j] + t[0], R[3] * x[j] + R[4] * y[j] + R[5] * z[j] + t[1],
+                          R[6] * x[j] + R[7] * y[j] + R[8] * z[j] + t[2], u, v);
+            const double e_u = pixel[j] - u, e_v = pixel[n + j] - v;
+            out[j] = e_u * e_u + e_v * e_v;
+        }
+        for (std::size_t j = 0; j < n; ++j) {
+            out[j] = !seen[j] ? 0.0 : std::isfinite(out[j]) ? out[j] : std::numeric_limits<double>::infinity();
+        }
+    }
+}
+
+// The compiled copies: functions of their own, because only such can be cloned for several processors.
+#define BINOCAL_COPIES(name, Model)                                                                                   \
+    BINOCAL_CLONES void views_##name(const Task& task, std::size_t first, std::size_t last) {                         \
+        run_views<Model, true>(task, first, last);                                                                    \
+    }                                                                                                                 \
+    BINOCAL_CLONES void held_##name(const Task& task, std::size_t first, std::size_t last) {                          \
+        run_views<Model, false>(task, first, last);                                                                   \
+    }                                                                                                                 \
+    BINOCAL_CLONES void columns_##name(const Task& task, std::size_t first, std::size_t last) {                       \
+        fill_columns<Model>(task, first, last);                                                                       \
+    }                                                                                                                 \
+    BINOCAL_CLONES void measure_##name(const Task& task, std::size_t first, std::size_t last) {                       \
+        measure<Model>(task, first, last);                                                                            \
+    }
+BINOCAL_COPIES(brown4, Brown<4>)
+BINOCAL_COPIES(brown5, Brown<5>)
+BINOCAL_COPIES(brown8, Brown<8>)
+BINOCAL_COPIES(fisheye4, Fisheye)
+
+using Work = void (*)(const Task&, std::size_t, std::size_t);
+struct Copies {
+    std::string_view name;
+    int n_parameters;
+    bool sees_behind;
+    Work views, held, columns, measure;
+};
+#define BINOCAL_ENTRY(name, p, behind) {#name, p, behind, views_##name, held_##name, columns_##name, measure_##name}
+constexpr Copies kModels[] = {BINOCAL_ENTRY(brown4, 9, false), BINOCAL_ENTRY(brown5, 10, false),
+                              BINOCAL_ENTRY(brown8, 13, false), BINOCAL_ENTRY(fisheye4, 9, true)};
+
+const Copies& copies_of(const std::string& name) {
+    for (const Copies& model : kModels) {
+        if (model.name == name) return model;
+    }
+    throw std::invalid_argument("no compiled camera model " + name);
+}
+
+Kernel kernel_of(const std::string& name) {
+    if (name == "squared") return Kernel::squared;
+    if (name == "cauchy") return Kernel::cauchy;
+    if (name == "hampel") return Kernel::hampel;
+    throw std::invalid_argument("no robust kernel " + name);
+}
+
+void require(bool holds, const char* what) {
+    if (!holds) throw std::invalid_argument(what);
+}
+
+// Shapes: parameters (rigs, p), R (views, 3, 3), t (views, 3), points (3, n), pixels (views, 2, n), is_seen (views, n),
+// where views counts those of all rigs.
+Task make_task(const Copies& model, const Doubles& parameters, const Doubles& R, const Doubles& t, const Doubles& points,
+               const Doubles& pixels, const Flags& is_seen) {
+    require(is_seen.ndim() == 2 && parameters.ndim() == 2 && points.ndim() == 2, "wrong number of dimensions");
+    const std::size_t views = is_seen.shape(0), n = is_seen.shape(1), rigs = parameters.shape(0);
+    require(parameters.shape(1) == static_cast<std::size_t>(model.n_parameters), "wrong number of parameters");
+    require(R.size() == 9 * views && t.size() == 3 * views, "R or t does not match the views");
+    require(points.shape(0) == 3 && points.shape(1) == n, "object points must be (3, n)");
+    require(pixels.size() == 2 * views * n, "pixels must be (views, 2, n)");
+    require(rigs > 0 && views % rigs == 0, "the views do not divide among the rigs");
+    Task task{};
+    task.n_views = views, task.views_per_rig = std::max<std::size_t>(views / rigs, 1), task.n = n;
+    task.p = model.n_parameters, task.sees_behind = model.sees_behind;
+    task.parameters = parameters.data(), task.R = R.data(), task.t = t.data(), task.points = points.data();
+    task.pixels = pixels.data(), task.is_seen = is_seen.data();
+    return task;
+}
+
+void accumulate(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
+                const Doubles& points, const Doubles& pixels, const Flags& is_seen, const Flags& is_free,
+                const Doubles& scale, const std::string& kernel, DoublesOut gram, DoublesOut r2, DoublesOut cost,
+                std::size_t n_threads) {
+    const Copies& model = copies_of(name);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    const std::size_t q = model.n_parameters + 7;
+    require(is_free.size() == q - 7, "is_free must have one flag for each parameter");
+    require(scale.size() == parameters.shape(0), "one scale for each rig");
+    require(gram.size() == q * q * task.n_views && r2.size() == task.n * task.n_views && cost.size() == task.n_views,
+            "an output has the wrong size");
+    task.is_free = is_free.data(), task.scale = scale.data(), task.kernel = kernel_of(kernel);
+    task.gram = gram.data(), task.r2 = r2.data(), task.cost = cost.data();
+    task.any_free = std::any_of(is_free.data(), is_free.data() + is_free.size(), [](bool free) { return free; });
+    const Work work = task.any_free ? model.views : model.held;
+    nb::gil_scoped_release unlocked;
+    in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { work(task, first, last); });
+}
+
+void squared_lengths(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
+                     const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut r2,
+                     std::size_t n_threads) {
+    const Copies& model = copies_of(name);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    require(r2.size() == task.n * task.n_views, "the output has the wrong size");
+    task.r2 = r2.data();
+    nb::gil_scoped_release unlocked;
+    in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { model.measure(task, first, last); });
+}
+
+void unweighted_columns(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
+                        const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut columns) {
+    const Copies& model = copies_of(name);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    require(columns.size() == 2 * (model.n_parameters + 7) * task.n * task.n_views, "the output has the wrong size");
+    task.columns = columns.data();
+    nb::gil_scoped_release unlocked;
+    model.columns(task, 0, task.n_views);
+}
+
+}  // namespace
+
+void register_accumulate(nb::module_& module) {
+    module.def("accumulate", &accumulate);
+    module.def("squared_lengths", &squared_lengths);
+    module.def("unweighted_columns", &unweighted_columns);
+}
+
+}  // namespace binocal
