@@ -137,7 +137,7 @@ def test_a_corner_in_the_camera_centre_costs_infinity_and_spoils_no_other_view(n
 
 
 def test_wrong_shapes_are_refused():
-    model, parameters, R, t, points, pixels, is_seen = make_views("brown5")
+    _, parameters, R, t, points, pixels, is_seen = make_views("brown5")
     with pytest.raises(ValueError, match="number of parameters"):
         accumulate("brown5", parameters[:-1], R, t, points, pixels, is_seen, np.asarray(1.0), "hampel")
     with pytest.raises(ValueError, match="views, 2, n"):

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 CORNERS_PER_THREAD = 20_000  # half a millisecond of work; starting a thread costs some 30 microseconds
 
+VIEWS_PER_THREAD = 400  # likewise, for the elimination of the board poses
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewEquations:
@@ -122,6 +124,77 @@ def unweighted_columns(
         model, *_flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, 1), columns
     )
     return columns
+
+
+def solve_steps(
+    grams: tuple[Float[ndarray, "*batch views q q"], ...],
+    is_free: tuple[Bool[ndarray, "p"], ...],
+    T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
+    growth: Float[ndarray, "*batch"],
+    *,
+    is_rig_free: bool = True,
+    prior: tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch s"]] | None = None,
+) -> tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch views 6"], Float[ndarray, "*batch"]]:
+    """Shared and view steps of the joint normal equations, and the fall of the cost that they predict.
+
+    ``grams`` come from :func:`accumulate`, one for each camera; the diagonal of the normal equations is multiplied by
+    ``growth``. Shared unknowns are the cameras' free parameters, then the rig's six if it is free. ``prior`` is added
+    to their diagonal and gradient. Views are eliminated by Cholesky factors (Schur complement), the rest by Gauss with
+    pivoting, both equilibrated. A rig whose equations are singular gets NaN.
+    """
+    *batch, n_views, _, _ = grams[0].shape
+    n_shared = sum(int(np.count_nonzero(free)) for free in is_free) + (6 if len(grams) == 2 and is_rig_free else 0)
+    shared, views, predicted = np.empty((*batch, n_shared)), np.empty((*batch, n_views, 6)), np.empty(batch)
+    _solve(grams, is_free, T_right_left, growth, is_rig_free, prior, (shared, views, predicted, _NOTHING))
+    return shared, views, predicted
+
+
+def reduced_information(
+    grams: tuple[Float[ndarray, "*batch views q q"], ...],
+    is_free: tuple[Bool[ndarray, "p"], ...],
+    T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
+    *,
+    is_rig_free: bool = True,
+    prior: tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch s"]] | None = None,
+) -> Float[ndarray, "*batch s s"]:
+    """Information of the shared unknowns with the board poses free: the Schur complement of :func:`solve_steps`.
+
+    NaN where a view's own equations are singular.
+    """
+    batch = grams[0].shape[:-3]
+    n_shared = sum(int(np.count_nonzero(free)) for free in is_free) + (6 if len(grams) == 2 and is_rig_free else 0)
+    reduced = np.empty((*batch, n_shared, n_shared))
+    out = (_NOTHING, _NOTHING, _NOTHING, reduced)
+    _solve(grams, is_free, T_right_left, np.ones(batch), is_rig_free, prior, out)
+    return reduced
+
+
+_NOTHING = np.empty(0)
+
+
+def _solve(
+    grams: tuple[ndarray, ...],
+    is_free: tuple[ndarray, ...],
+    T_right_left: tuple[ndarray, ndarray] | None,
+    growth: ndarray,
+    is_rig_free: bool,
+    prior: tuple[ndarray, ndarray] | None,
+    out: tuple[ndarray, ndarray, ndarray, ndarray],
+) -> None:
+    n_views = grams[0].shape[-3]
+    n_rigs = int(np.prod(grams[0].shape[:-3], dtype=int))
+    flat = [np.ascontiguousarray(gram).reshape(n_rigs, n_views, *gram.shape[-2:]) for gram in grams]
+    R, t = (_NOTHING, _NOTHING) if T_right_left is None else T_right_left
+    weight, gradient = (_NOTHING, _NOTHING) if prior is None else prior
+    _kernel.solve_steps(
+        flat,
+        [np.ascontiguousarray(free) for free in is_free],
+        *(np.ascontiguousarray(a, dtype=float) for a in (R, t)),
+        is_rig_free,
+        *(np.ascontiguousarray(a, dtype=float) for a in (weight, gradient, growth)),
+        *out,
+        min(_N_CPUS, 1 + n_rigs * n_views // VIEWS_PER_THREAD),
+    )
 
 
 def _flat(

@@ -5,6 +5,7 @@
 #include <nanobind/ndarray.h>
 
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
 #include <cstddef>
 #include <cstdint>
@@ -38,5 +39,6 @@ void in_parallel(std::size_t count, std::size_t n_threads, const Work& work) {
 }
 
 void register_accumulate(nb::module_& module);
+void register_step(nb::module_& module);
 
 }  // namespace binocal

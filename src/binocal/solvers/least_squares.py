@@ -126,12 +126,7 @@ def minimize(
     for _ in range(options.max_iterations):
         if not is_running.any():
             break
-        try:
-            step = solve_step(problem, estimate, equations, damping)
-        except np.linalg.LinAlgError:
-            damping = np.where(is_running, _raised(damping, options), damping)
-            is_running &= damping < options.max_damping
-            continue
+        step = solve_step(problem, estimate, equations, damping)
         candidate = retract(problem, estimate, step)
         trial = linearize(problem, candidate, scale, kernel)
         n_iterations += is_running
