@@ -108,6 +108,20 @@ def squared_lengths(
     return r2
 
 
+def robust_costs(
+    r2_px2: Float[ndarray, "*batch n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+) -> Float[ndarray, "*batch"]:
+    """Robust cost of squared residual lengths, summed over the last axis."""
+    batch = r2_px2.shape[:-1]
+    n_rigs = int(np.prod(batch, dtype=int))
+    cost = np.empty(batch)
+    scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
+    _kernel.costs(np.ascontiguousarray(r2_px2, dtype=float).reshape(n_rigs, -1), scale, kernel, cost)
+    return cost
+
+
 def unweighted_columns(
     model: str,
     parameters: Float[ndarray, "p"],

@@ -40,7 +40,7 @@ struct Scratch {
     std::size_t stride;  // from column to column: u run, v run
     std::vector<double> memory;
     double *J, *trash, *weight, *Z, *length2;
-    explicit Scratch(std::size_t n) : run((n + 2 * kLanes - 1) / (2 * kLanes) * (2 * kLanes)), stride(2 * run) {
+    explicit Scratch(std::size_t n) : run((n + kRun - 1) / kRun * kRun), stride(2 * run) {
         memory.assign((kMaxColumns + 1) * stride + 3 * run + 8, 0.0);
         auto address = reinterpret_cast<std::uintptr_t>(memory.data());
         J = memory.data() + (64 - address % 64) % 64 / sizeof(double);
@@ -225,70 +225,73 @@ BINOCAL_INLINE void fill(const Task& task, const Scratch& s, std::size_t view, d
     }
 }
 
-// Robust cost of the view; square roots of the weights go to s.weight, and the result tells whether any differs from 1.
-BINOCAL_INLINE double weigh(const Task& task, const Scratch& s, std::size_t view, bool& is_plain) {
+// Robust cost of squared lengths (binocal.solvers.robust states the formulas).
+BINOCAL_INLINE double robust_cost(Kernel kernel, const double* length2, std::size_t n, double scale) {
+    const double s2 = scale * scale;
+    if (kernel == Kernel::cauchy) {
+        double cost = 0;
+        for (std::size_t j = 0; j < n; ++j) cost += std::log1p(length2[j] / s2);
+        return 0.5 * s2 * cost;
+    }
+    constexpr std::size_t kParts = 8;  // several sums, so that they need not wait for one another
+    double parts[kParts] = {};
+    std::size_t j = 0;
+    for (; j + kParts <= n; j += kParts) {
+        for (std::size_t k = 0; k < kParts; ++k) parts[k] += length2[j + k];
+    }
+    for (; j < n; ++j) parts[0] += length2[j];
+    double cost = 0;
+    for (double part : parts) cost += 0.5 * part;
+    if (kernel == Kernel::squared) return cost;
+    // Few corners lie beyond the flat part of Hampel's kernel: those are gone through one by one.
+    constexpr double a = kHampelFlat, b = kHampelDrop, c = kHampelEnd;
+    const double flat2 = a * a * s2;
+    double flat_cost = 0, bent_cost = 0;
+    std::size_t n_beyond = 0;
+    for (std::size_t i = 0; i < n; ++i) n_beyond += length2[i] > flat2;
+    if (n_beyond == 0) return cost;
+    for (std::size_t i = 0; i < n; ++i) {
+        if (!(length2[i] > flat2)) {
+            flat_cost += 0.5 * length2[i];
+            continue;
+        }
+        const double q = std::sqrt(length2[i] / s2);
+        const double fall = std::clamp((c - q) / (c - b), 0.0, 1.0);
+        bent_cost += a * std::min(q, b) - 0.5 * a * a + (q > b ? 0.5 * a * (c - b) * (1 - fall * fall) : 0.0);
+    }
+    return flat_cost + s2 * bent_cost;
+}
+
+// Square roots of the corners' weights go to s.weight, 0 where not seen; false where all are 1 and none was written.
+BINOCAL_INLINE bool weigh(const Task& task, const Scratch& s, std::size_t view) {
     const std::size_t n = task.n;
     const bool* seen = task.is_seen + n * view;
     const double* length2 = s.length2;
     double* weight = s.weight;
     const double scale = task.scale[view / task.views_per_rig], s2 = scale * scale;
-    std::size_t n_unseen = 0;
-    for (std::size_t j = 0; j < n; ++j) n_unseen += !seen[j];
-    is_plain = n_unseen == 0;
-    double cost = 0;
-    if (task.kernel == Kernel::squared) {
-        for (std::size_t j = 0; j < n; ++j) cost += 0.5 * length2[j];
-    } else if (task.kernel == Kernel::cauchy) {
-        is_plain = false;
-        for (std::size_t j = 0; j < n; ++j) {
-            const double q2 = length2[j] / s2;
-            weight[j] = std::sqrt(1 / (1 + q2));
-            cost += std::log1p(q2);
-        }
-        cost *= 0.5 * s2;
+    const double flat2 = task.kernel == Kernel::hampel ? kHampelFlat * kHampelFlat * s2 : 0.0;
+    std::size_t n_beyond = 0, n_seen = 0;
+    for (std::size_t j = 0; j < n; ++j) n_beyond += length2[j] > flat2;
+    for (std::size_t j = 0; j < n; ++j) n_seen += seen[j];
+    if (task.kernel == Kernel::cauchy) {
+        for (std::size_t j = 0; j < n; ++j) weight[j] = std::sqrt(1 / (1 + length2[j] / s2));
     } else {
-        // Few corners lie beyond the flat part: those are gone through one by one.
-        const double flat2 = kHampelFlat * kHampelFlat * s2;
-        std::size_t n_beyond = 0;
-        double largest_parts[kLanes] = {};  // several sums, so that they need not wait for one another
-        std::size_t j = 0;
-        for (; j + kLanes <= n; j += kLanes) {
-            for (int k = 0; k < kLanes; ++k) {
-                const double l2 = length2[j + k];
-                n_beyond += l2 > flat2;
-                largest_parts[k] += 0.5 * l2;
-                weight[j + k] = 1.0;
-            }
-        }
-        for (; j < n; ++j) {
-            n_beyond += length2[j] > flat2;
-            largest_parts[0] += 0.5 * length2[j];
-            weight[j] = 1.0;
-        }
-        for (double part : largest_parts) cost += part;
-        if (n_beyond > 0) {
-            is_plain = false;
-            cost = 0;
-            constexpr double a = kHampelFlat, b = kHampelDrop, c = kHampelEnd;
-            for (std::size_t i = 0; i < n; ++i) {
-                if (!(length2[i] > flat2)) {
-                    cost += 0.5 * length2[i];
-                    continue;
-                }
-                const double q = std::sqrt(length2[i] / s2);
-                const double fall = std::clamp((c - q) / (c - b), 0.0, 1.0);
-                weight[i] = std::sqrt(a * fall / q);
-                const double rho =
-                    a * std::min(q, b) - 0.5 * a * a + (q > b ? 0.5 * a * (c - b) * (1 - fall * fall) : 0.0);
-                cost += rho * s2;
-            }
+        if (n_seen == n && (task.kernel == Kernel::squared || n_beyond == 0)) return false;
+        std::fill(weight, weight + n, 1.0);
+    }
+    if (task.kernel == Kernel::hampel && n_beyond > 0) {
+        for (std::size_t j = 0; j < n; ++j) {
+            if (!(length2[j] > flat2)) continue;
+            const double q = std::sqrt(length2[j] / s2);
+            const double fall = std::clamp((kHampelEnd - q) / (kHampelEnd - kHampelDrop), 0.0, 1.0);
+            weight[j] = std::sqrt(kHampelFlat * fall / q);
         }
     }
-    if (n_unseen > 0 && task.kernel == Kernel::squared) std::fill(weight, weight + n, 1.0);
-    return cost;
+    for (std::size_t j = 0; j < n; ++j) weight[j] = seen[j] ? weight[j] : 0.0;
+    return true;
 }
 
-template <class Model, bool Full>
+template <class Model, bool Full, int lanes>
 BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
     constexpr int p = Model::n_parameters, q = p + 7;
     Scratch s(task.n);
@@ -308,13 +311,13 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
         const bool* seen = task.is_seen + n * view;
         bool is_impossible = false;
         if (!task.sees_behind) {
-            for (std::size_t j = 0; j < n; ++j) is_impossible |= seen[j] && s.Z[j] <= 0;
+            int n_behind = 0;
+            for (std::size_t j = 0; j < n; ++j) n_behind += seen[j] & (s.Z[j] <= 0);
+            is_impossible = n_behind > 0;
         }
         for (std::size_t j = 0; j < n; ++j) s.length2[j] = seen[j] ? s.length2[j] : 0.0;
-        bool is_plain = true;
-        const double cost = weigh(task, s, view, is_plain);
-        if (!is_plain) {
-            for (std::size_t j = 0; j < n; ++j) s.weight[j] = seen[j] ? s.weight[j] : 0.0;
+        const double cost = robust_cost(task.kernel, s.length2, n, task.scale[view / task.views_per_rig]);
+        if (weigh(task, s, view)) {
             for (int i = 0; i < m; ++i) {
                 double* c = s.J + i * s.stride;
                 for (int half = 0; half < 2; ++half, c += s.run) {
@@ -324,7 +327,7 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
         }
         std::memcpy(task.r2 + n * view, s.length2, n * sizeof(double));
         task.cost[view] = is_impossible || !std::isfinite(cost) ? std::numeric_limits<double>::infinity() : cost;
-        gram_matrix(s.J, s.stride, padded, block);
+        gram_matrix<lanes>(s.J, s.stride, padded, block);
         double* gram = task.gram + static_cast<std::size_t>(q) * q * view;
         for (int i = 0; i < q; ++i) {
             for (int k = i; k < q; ++k) {
@@ -335,7 +338,7 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
     }
 }
 
-template <class Model>
+template <class Model, int lanes>
 BINOCAL_INLINE void fill_columns(const Task& task, std::size_t first, std::size_t last) {
     constexpr int p = Model::n_parameters, q = p + 7;
     const std::size_t n = task.n;
@@ -353,7 +356,7 @@ BINOCAL_INLINE void fill_columns(const Task& task, std::size_t first, std::size_
     }
 }
 
-template <class Model>
+template <class Model, int lanes>
 BINOCAL_INLINE void measure(const Task& task, std::size_t first, std::size_t last) {
     const std::size_t n = task.n;
     const double *x = task.points, *y = x + n, *z = y + n;
@@ -376,20 +379,11 @@ BINOCAL_INLINE void measure(const Task& task, std::size_t first, std::size_t las
     }
 }
 
-// The compiled copies: functions of their own, because only such can be cloned for several processors.
-#define BINOCAL_COPIES(name, Model)                                                                                   \
-    BINOCAL_CLONES void views_##name(const Task& task, std::size_t first, std::size_t last) {                         \
-        run_views<Model, true>(task, first, last);                                                                    \
-    }                                                                                                                 \
-    BINOCAL_CLONES void held_##name(const Task& task, std::size_t first, std::size_t last) {                          \
-        run_views<Model, false>(task, first, last);                                                                   \
-    }                                                                                                                 \
-    BINOCAL_CLONES void columns_##name(const Task& task, std::size_t first, std::size_t last) {                       \
-        fill_columns<Model>(task, first, last);                                                                       \
-    }                                                                                                                 \
-    BINOCAL_CLONES void measure_##name(const Task& task, std::size_t first, std::size_t last) {                       \
-        measure<Model>(task, first, last);                                                                            \
-    }
+#define BINOCAL_COPIES(name, Model)                                                     \
+    BINOCAL_DISPATCH(views_##name, Task, (run_views<Model, true, lanes>(task, first, last)))  \
+    BINOCAL_DISPATCH(held_##name, Task, (run_views<Model, false, lanes>(task, first, last)))  \
+    BINOCAL_DISPATCH(columns_##name, Task, (fill_columns<Model, lanes>(task, first, last)))   \
+    BINOCAL_DISPATCH(measure_##name, Task, (measure<Model, lanes>(task, first, last)))
 BINOCAL_COPIES(brown4, Brown<4>)
 BINOCAL_COPIES(brown5, Brown<5>)
 BINOCAL_COPIES(brown8, Brown<8>)
@@ -462,6 +456,17 @@ void accumulate(const std::string& name, const Doubles& parameters, const Double
     in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { work(task, first, last); });
 }
 
+// Robust cost of stored squared lengths, (rigs, m), each rig under its own scale.
+void costs(const Doubles& r2, const Doubles& scale, const std::string& kernel, DoublesOut cost) {
+    require(r2.ndim() == 2 && scale.size() == r2.shape(0) && cost.size() == r2.shape(0), "one scale and cost for each rig");
+    const std::size_t m = r2.shape(1);
+    const Kernel which = kernel_of(kernel);
+    nb::gil_scoped_release unlocked;
+    for (std::size_t rig = 0; rig < r2.shape(0); ++rig) {
+        cost.data()[rig] = robust_cost(which, r2.data() + rig * m, m, scale.data()[rig]);
+    }
+}
+
 void squared_lengths(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
                      const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut r2,
                      std::size_t n_threads) {
@@ -487,6 +492,7 @@ void unweighted_columns(const std::string& name, const Doubles& parameters, cons
 
 void register_accumulate(nb::module_& module) {
     module.def("accumulate", &accumulate);
+    module.def("costs", &costs);
     module.def("squared_lengths", &squared_lengths);
     module.def("unweighted_columns", &unweighted_columns);
 }

@@ -15,24 +15,71 @@
 #else
 #define BINOCAL_INDEPENDENT __pragma(loop(ivdep))
 #endif
-// One build serves every x86-64 machine: glibc's loader picks the widest copy that the processor runs. Elsewhere the
-// compiler's baseline (NEON on Arm) is all there is.
-#if defined(__GNUC__) && defined(__x86_64__) && defined(__GLIBC__) && (!defined(__clang__) || __clang_major__ >= 17)
-#define BINOCAL_CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+// One build serves every x86-64 machine: hot functions are compiled three times, and the widest copy that the processor
+// runs is called (see BINOCAL_DISPATCH). Elsewhere the compiler's baseline (NEON on Arm) is all there is.
+#if defined(__GNUC__) && defined(__x86_64__)
+#define BINOCAL_X86 1
+#define BINOCAL_V3 __attribute__((target("arch=x86-64-v3")))
+#define BINOCAL_V4 __attribute__((target("arch=x86-64-v4")))
 #else
-#define BINOCAL_CLONES
+#define BINOCAL_X86 0
 #endif
 
 namespace binocal {
 
-constexpr int kLanes = 4;  // doubles of one vector
+constexpr int kRun = 8;  // the longest vector, in doubles: columns are padded to whole ones
 
-// Upper triangle of J Jᵀ in 4 x 4 blocks, row-major in out (m, m). J has m rows of length stride, both multiples of 4.
+#if BINOCAL_X86
+inline bool has_avx512() {
+    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd") &&
+           __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+}
+inline bool has_avx2() {
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
+           __builtin_cpu_supports("bmi2");
+}
+#endif
+
+// Defines void name(const Task&, first, last), which calls the widest copy of body<lanes>(task, first, last).
+#if BINOCAL_X86
+#define BINOCAL_DISPATCH(name, Task, ...)                                                                             \
+    BINOCAL_V4 void name##_v4(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 8; __VA_ARGS__; } \
+    BINOCAL_V3 void name##_v3(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; } \
+    void name##_v2(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; }    \
+    void name(const Task& task, std::size_t first, std::size_t last) {                                                \
+        static const auto widest = has_avx512() ? name##_v4 : has_avx2() ? name##_v3 : name##_v2;                     \
+        widest(task, first, last);                                                                                    \
+    }
+#else
+#define BINOCAL_DISPATCH(name, Task, ...)                                                                             \
+    void name(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; }
+#endif
+
+#if defined(__GNUC__)
+template <int lanes>
+struct VectorOf;
+template <>
+struct VectorOf<4> {
+    typedef double type __attribute__((vector_size(32), aligned(8)));
+};
+template <>
+struct VectorOf<8> {
+    typedef double type __attribute__((vector_size(64), aligned(8)));
+};
+#endif
+
+// Upper triangle of J Jᵀ in 4 x 4 blocks, row-major in out (m, m). J has m rows of length stride, m a multiple of 4 and stride
+// of kRun.
+template <int lanes>
 BINOCAL_INLINE void gram_matrix(const double* J, std::size_t stride, int m, double* out) {
 #if defined(__GNUC__)
-    typedef double Vector __attribute__((vector_size(kLanes * sizeof(double)), aligned(sizeof(double))));
+    using Vector = typename VectorOf<lanes>::type;
     auto load = [](const double* from) __attribute__((always_inline)) { return *reinterpret_cast<const Vector*>(from); };
-    auto sum = [](Vector v) __attribute__((always_inline)) { return (v[0] + v[1]) + (v[2] + v[3]); };
+    auto sum = [](Vector v) __attribute__((always_inline)) {
+        double total = (v[0] + v[1]) + (v[2] + v[3]);
+        if constexpr (lanes == 8) total += (v[4] + v[5]) + (v[6] + v[7]);
+        return total;
+    };
 #endif
     for (int row = 0; row < m; row += 4) {
         for (int column = row; column < m; column += 4) {
@@ -40,7 +87,7 @@ BINOCAL_INLINE void gram_matrix(const double* J, std::size_t stride, int m, doub
 #if defined(__GNUC__)
             Vector s00{}, s01{}, s02{}, s03{}, s10{}, s11{}, s12{}, s13{}, s20{}, s21{}, s22{}, s23{}, s30{}, s31{},
                 s32{}, s33{};
-            for (std::size_t j = 0; j < stride; j += kLanes) {
+            for (std::size_t j = 0; j < stride; j += lanes) {
                 const Vector b0 = load(b + j), b1 = load(b + stride + j), b2 = load(b + 2 * stride + j),
                              b3 = load(b + 3 * stride + j);
                 const Vector a0 = load(a + j);
@@ -61,11 +108,11 @@ BINOCAL_INLINE void gram_matrix(const double* J, std::size_t stride, int m, doub
             o += m;
             o[0] = sum(s30), o[1] = sum(s31), o[2] = sum(s32), o[3] = sum(s33);
 #else
-            double sums[4][4][kLanes] = {};
-            for (std::size_t j = 0; j < stride; j += kLanes) {
+            double sums[4][4][lanes] = {};
+            for (std::size_t j = 0; j < stride; j += lanes) {
                 for (int i = 0; i < 4; ++i) {
                     for (int k = 0; k < 4; ++k) {
-                        for (int l = 0; l < kLanes; ++l) sums[i][k][l] += a[i * stride + j + l] * b[k * stride + j + l];
+                        for (int l = 0; l < lanes; ++l) sums[i][k][l] += a[i * stride + j + l] * b[k * stride + j + l];
                     }
                 }
             }

@@ -93,11 +93,12 @@ struct Workspace {
     int m;  // columns of Y with padding
     std::vector<double> Y, L, scale, H, g, block, gradients, diagonals;
     Workspace(const Problem& problem)
-        : stride((6 * problem.n_views + kLanes - 1) / kLanes * kLanes), m((problem.s + 1 + 3) / 4 * 4),
+        : stride((6 * problem.n_views + kRun - 1) / kRun * kRun), m((problem.s + 1 + 3) / 4 * 4),
           Y(m * stride, 0.0), L(36 * problem.n_views), scale(6 * problem.n_views), H(problem.s * problem.s),
           g(problem.s), block(m * m), gradients(6 * problem.n_views), diagonals(6 * problem.n_views) {}
 };
 
+template <int lanes>
 BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspace& w) {
     const int s = problem.s;
     const std::size_t n_views = problem.n_views;
@@ -178,7 +179,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             g[i] += problem.prior_gradient[rig * s + i];
         }
     }
-    gram_matrix(Y, w.stride, w.m, w.block.data());
+    gram_matrix<lanes>(Y, w.stride, w.m, w.block.data());
     std::vector<double> A(s * s), x(s), scale(s);
     for (int i = 0; i < s; ++i) {
         for (int k = 0; k < s; ++k) {
@@ -224,11 +225,12 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
     return std::isfinite(problem.predicted[rig]);
 }
 
-BINOCAL_CLONES void steps_of_rigs(const Problem& problem, std::size_t first, std::size_t last) {
+template <int lanes>
+BINOCAL_INLINE void run_rigs(const Problem& problem, std::size_t first, std::size_t last) {
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();
     Workspace workspace(problem);
     for (std::size_t rig = first; rig < last; ++rig) {
-        if (step_of_rig(problem, rig, workspace)) continue;
+        if (step_of_rig<lanes>(problem, rig, workspace)) continue;
         const std::size_t s = problem.s, v = 6 * problem.n_views;
         if (problem.shared) {
             std::fill_n(problem.shared + rig * s, s, nan);
@@ -239,6 +241,8 @@ BINOCAL_CLONES void steps_of_rigs(const Problem& problem, std::size_t first, std
         }
     }
 }
+
+BINOCAL_DISPATCH(steps_of_rigs, Problem, (run_rigs<lanes>(task, first, last)))
 
 void solve_steps(const std::vector<Doubles>& grams, const std::vector<Flags>& is_free, const Doubles& R,
                  const Doubles& t, bool is_rig_free, const Doubles& prior_weight, const Doubles& prior_gradient,

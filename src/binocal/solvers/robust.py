@@ -67,14 +67,17 @@ def costs(
     return rho * s2
 
 
-def scale_from_median(r2: Float[ndarray, "*batch n"], is_seen: Bool[ndarray, "*batch n"]) -> Float[ndarray, "*batch"]:
+def scale_from_median(
+    r2: Float[ndarray, "*batch n"], is_seen: Bool[ndarray, "*batch n"] | None = None
+) -> Float[ndarray, "*batch"]:
     """Noise of one coordinate, pixels, from the median residual length (the MAD of residuals centred on 0); floored.
 
-    The last axis is reduced. Where nothing is seen the floor is returned.
+    The last axis is reduced; ``is_seen`` None: all of it. Where nothing is seen the floor is returned.
     """
-    is_seen = np.broadcast_to(is_seen, r2.shape)
-    if is_seen.all():
-        median = np.median(r2, axis=-1)
+    if is_seen is None:
+        n = r2.shape[-1]
+        middle = np.partition(r2, ((n - 1) // 2, n // 2), axis=-1)
+        median = 0.5 * (middle[..., (n - 1) // 2] + middle[..., n // 2])
     else:
         ordered = np.sort(np.where(is_seen, r2, np.inf), axis=-1)
         n = is_seen.sum(axis=-1)
