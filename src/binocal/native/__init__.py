@@ -122,6 +122,38 @@ def robust_costs(
     return cost
 
 
+def median_lengths2(
+    r2_px2: tuple[Float[ndarray, "*batch views n"], ...], is_seen: tuple[Bool[ndarray, "*batch views n"], ...]
+) -> Float[ndarray, "*batch"]:
+    """Median of each rig's seen squared residual lengths, all cameras together; 0 where nothing is seen."""
+    medians = np.empty(r2_px2[0].shape[:-2])
+    _kernel.medians([np.ascontiguousarray(a) for a in r2_px2], [np.ascontiguousarray(a) for a in is_seen], medians)
+    return medians
+
+
+def step_poses(
+    R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"], xi: Float[ndarray, "*batch 6"]
+) -> tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]]:
+    """Rigid transforms stepped from the left: ``(exp(omega), tau) T`` with xi = (omega, tau)."""
+    arrays = [np.ascontiguousarray(a, dtype=float) for a in (R, t, xi)]
+    out = np.empty(arrays[0].shape), np.empty(arrays[1].shape)
+    _kernel.step_poses(*arrays, *out)
+    return out
+
+
+def compose_poses(
+    R_rig: Float[ndarray, "*batch 3 3"],
+    t_rig: Float[ndarray, "*batch 3"],
+    R: Float[ndarray, "*batch views 3 3"],
+    t: Float[ndarray, "*batch views 3"],
+) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
+    """Every rig's transform after each of its views'."""
+    arrays = [np.ascontiguousarray(a, dtype=float) for a in (R_rig, t_rig, R, t)]
+    out = np.empty(arrays[2].shape), np.empty(arrays[3].shape)
+    _kernel.compose_poses(*arrays, *out)
+    return out
+
+
 def unweighted_columns(
     model: str,
     parameters: Float[ndarray, "p"],

@@ -8,6 +8,7 @@
 #include "kernel.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -467,6 +468,68 @@ void costs(const Doubles& r2, const Doubles& scale, const std::string& kernel, D
     }
 }
 
+// Median of non-negative numbers, which order like their bits: the bin of the leading ones that holds the middle is found
+// first, and only its few numbers are sorted out. NaN counts as largest.
+double median(const double* values, std::size_t n) {
+    constexpr int kShift = 50;  // 11 bits of exponent and 2 of mantissa are left
+    std::vector<std::uint32_t> count(std::size_t{1} << (64 - kShift), 0);
+    auto bin_of = [](double value) { return std::bit_cast<std::uint64_t>(value) >> kShift; };
+    for (std::size_t i = 0; i < n; ++i) ++count[bin_of(values[i])];
+    std::vector<double> bin;
+    auto nth = [&](std::size_t k) {
+        std::size_t chosen = 0, below = 0;
+        while (below + count[chosen] <= k) below += count[chosen++];
+        bin.clear();
+        for (std::size_t i = 0; i < n; ++i) {
+            if (bin_of(values[i]) == chosen) bin.push_back(values[i]);
+        }
+        auto less = [](double a, double b) { return std::bit_cast<std::uint64_t>(a) < std::bit_cast<std::uint64_t>(b); };
+        std::nth_element(bin.begin(), bin.begin() + (k - below), bin.end(), less);
+        return bin[k - below];
+    };
+    const double low = nth((n - 1) / 2);
+    if (n % 2 == 1) return low;
+    // The next larger one is in the same bin, unless low was its last.
+    std::size_t n_not_above = 0;
+    double high = std::numeric_limits<double>::quiet_NaN();
+    for (std::size_t i = 0; i < n; ++i) {
+        if (values[i] <= low) {
+            ++n_not_above;
+        } else if (!(values[i] >= high)) {
+            high = values[i];
+        }
+    }
+    return 0.5 * (low + (n_not_above > n / 2 ? low : high));
+}
+
+// Median of each rig's seen squared lengths over all cameras; 0 where nothing is seen.
+void medians(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, DoublesOut out) {
+    require(!r2.empty() && r2.size() == is_seen.size(), "as many flags as lengths");
+    const std::size_t n_rigs = out.size();
+    for (std::size_t camera = 0; camera < r2.size(); ++camera) {
+        require(n_rigs > 0 && r2[camera].size() == is_seen[camera].size() && r2[camera].size() % n_rigs == 0,
+                "the lengths do not divide among the rigs");
+    }
+    nb::gil_scoped_release unlocked;
+    std::vector<double> values;
+    for (std::size_t rig = 0; rig < n_rigs; ++rig) {
+        values.clear();
+        for (std::size_t camera = 0; camera < r2.size(); ++camera) {
+            const std::size_t m = r2[camera].size() / n_rigs, start = values.size();
+            const double* lengths2 = r2[camera].data() + rig * m;
+            const bool* seen = is_seen[camera].data() + rig * m;
+            values.resize(start + m);
+            std::size_t kept = start;
+            for (std::size_t j = 0; j < m; ++j) {
+                values[kept] = lengths2[j];
+                kept += seen[j];
+            }
+            values.resize(kept);
+        }
+        out.data()[rig] = values.empty() ? 0.0 : median(values.data(), values.size());
+    }
+}
+
 void squared_lengths(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
                      const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut r2,
                      std::size_t n_threads) {
@@ -493,6 +556,7 @@ void unweighted_columns(const std::string& name, const Doubles& parameters, cons
 void register_accumulate(nb::module_& module) {
     module.def("accumulate", &accumulate);
     module.def("costs", &costs);
+    module.def("medians", &medians);
     module.def("squared_lengths", &squared_lengths);
     module.def("unweighted_columns", &unweighted_columns);
 }

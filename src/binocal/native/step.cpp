@@ -14,6 +14,7 @@ namespace binocal {
 namespace {
 
 constexpr double kTiny = 1e-300;
+constexpr int kMaxGram = 20 * 20;  // brown8: 13 parameters, 6 pose columns, the residual
 constexpr int kMaxShared = 32;  // two brown8 cameras with skew, and the rig
 
 struct CameraPart {
@@ -91,11 +92,11 @@ BINOCAL_INLINE bool cholesky6(double* A) {
 struct Workspace {
     std::size_t stride;
     int m;  // columns of Y with padding
-    std::vector<double> Y, L, scale, H, g, block, gradients, diagonals;
+    std::vector<double> Y, L, scale, H, g, block, gradients, diagonals, totals;
     Workspace(const Problem& problem)
         : stride((6 * problem.n_views + kRun - 1) / kRun * kRun), m((problem.s + 1 + 3) / 4 * 4),
           Y(m * stride, 0.0), L(36 * problem.n_views), scale(6 * problem.n_views), H(problem.s * problem.s),
-          g(problem.s), block(m * m), gradients(6 * problem.n_views), diagonals(6 * problem.n_views) {}
+          g(problem.s), block(m * m), gradients(6 * problem.n_views), diagonals(6 * problem.n_views), totals(2 * kMaxGram) {}
 };
 
 template <int lanes>
@@ -107,6 +108,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
     double *H = w.H.data(), *g = w.g.data(), *Y = w.Y.data();
     std::fill(w.H.begin(), w.H.end(), 0.0);
     std::fill(w.g.begin(), w.g.end(), 0.0);
+    std::fill(w.totals.begin(), w.totals.end(), 0.0);
     double columns[kMaxShared * 6 + 6];
     for (std::size_t view = 0; view < n_views; ++view) {
         double* A = w.L.data() + 36 * view;
@@ -119,15 +121,14 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             const double* G = camera.gram + (rig * n_views + view) * q * q;
             for (int i = 0; i < n_keep; ++i) {
                 const double* row = G + camera.keep[i] * q;
-                double* H_row = H + camera.place[i] * s;
-                for (int k = 0; k < n_keep; ++k) H_row[camera.place[k]] += row[camera.keep[k]];
-                g[camera.place[i]] += row[q - 1];
                 double x[6];
                 for (int k = 0; k < 6; ++k) x[k] = row[p + k];
                 if (index == 1) adjoint_transposed(R, t, x);
                 double* to = W + 6 * camera.place[i];
                 for (int k = 0; k < 6; ++k) to[k] += x[k];
             }
+            double* total = w.totals.data() + index * kMaxGram;
+            for (int i = 0; i < q * q; ++i) total[i] += G[i];
             double pose[7][6];  // the pose columns and the gradient, at first G's own
             for (int i = 0; i < 7; ++i) {
                 const double* row = G + (p + i) * q + p;
@@ -171,6 +172,15 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
                 for (int k = 0; k < i; ++k) sum -= A[6 * i + k] * y[k];
                 y[i] = sum * inverse_pivot[i];
             }
+        }
+    }
+    for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
+        const CameraPart& camera = problem.cameras[index];
+        const int q = camera.p + 7, n_keep = static_cast<int>(camera.keep.size());
+        for (int i = 0; i < n_keep; ++i) {
+            const double* row = w.totals.data() + index * kMaxGram + camera.keep[i] * q;
+            for (int k = 0; k < n_keep; ++k) H[camera.place[i] * s + camera.place[k]] += row[camera.keep[k]];
+            g[camera.place[i]] += row[q - 1];
         }
     }
     for (int i = 0; i < s; ++i) {
@@ -259,6 +269,7 @@ void solve_steps(const std::vector<Doubles>& grams, const std::vector<Flags>& is
         const Doubles& gram = grams[index];
         require(gram.ndim() == 4 && gram.shape(2) == gram.shape(3) && gram.shape(2) == is_free[index].size() + 7,
                 "gram must be (rigs, views, q, q)");
+        require(gram.shape(2) * gram.shape(3) <= kMaxGram, "too many columns");
         require(index == 0 || (gram.shape(0) == problem.n_rigs && gram.shape(1) == problem.n_views),
                 "the cameras' views differ");
         problem.n_rigs = gram.shape(0), problem.n_views = gram.shape(1);

@@ -20,7 +20,15 @@ from numpy import ndarray
 
 from binocal.cameras import CameraModel
 from binocal.geometry import so3
-from binocal.native import ViewEquations, accumulate, reduced_information, solve_steps, squared_lengths
+from binocal.native import (
+    ViewEquations,
+    accumulate,
+    compose_poses,
+    reduced_information,
+    solve_steps,
+    squared_lengths,
+    step_poses,
+)
 from binocal.solvers import robust
 
 if TYPE_CHECKING:
@@ -127,8 +135,7 @@ def right_poses(
     estimate: BundleEstimate,
 ) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
     """``T_right_board`` of every view."""
-    R, t = estimate.R_right_left[..., None, :, :], estimate.t_right_left[..., None, :]
-    return R @ estimate.R_left_board, (R @ estimate.t_left_board[..., None])[..., 0] + t
+    return compose_poses(estimate.R_right_left, estimate.t_right_left, estimate.R_left_board, estimate.t_left_board)
 
 
 def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple[ndarray, ndarray]]:
@@ -137,15 +144,13 @@ def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple
     return [left, right_poses(estimate)] if problem.is_stereo else [left]
 
 
-def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> Float[ndarray, "*batch corners"]:
-    """Squared residual lengths of all cameras, flattened; 0 where not seen."""
-    lengths2 = [
+def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views n"], ...]:
+    """Squared residual lengths of each camera; 0 where not seen."""
+    poses = camera_poses(problem, estimate)
+    return tuple(
         squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
-        for c, parameters, (R, t) in zip(
-            problem.cameras, estimate.parameters, camera_poses(problem, estimate), strict=True
-        )
-    ]
-    return np.concatenate([r2.reshape(*r2.shape[:-2], -1) for r2 in lengths2], axis=-1)
+        for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
+    )
 
 
 def linearize(
@@ -220,17 +225,12 @@ def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) 
         moved[..., camera.is_free] += step.shared[..., column : column + count]
         column += count
         parameters.append(moved)
-    R, t = _step_pose(estimate.R_left_board, estimate.t_left_board, step.views)
+    R, t = step_poses(estimate.R_left_board, estimate.t_left_board, step.views)
     out = replace(estimate, parameters=tuple(parameters), R_left_board=R, t_left_board=t)
     if problem.is_stereo and problem.is_rig_free:
-        R, t = _step_pose(estimate.R_right_left, estimate.t_right_left, step.shared[..., column:])
+        R, t = step_poses(estimate.R_right_left, estimate.t_right_left, step.shared[..., column:])
         out = replace(out, R_right_left=R, t_right_left=t)
     return out
-
-
-def _step_pose(R: ndarray, t: ndarray, xi: ndarray) -> tuple[ndarray, ndarray]:
-    turn = so3.exp(xi[..., :3])
-    return turn @ R, (turn @ t[..., None])[..., 0] + xi[..., 3:]
 
 
 def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleEstimate) -> BundleEstimate:

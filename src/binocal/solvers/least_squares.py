@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import robust_costs
+from binocal.native import median_lengths2, robust_costs
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
@@ -70,16 +70,9 @@ class Minimum:
     options: LoopOptions = field(default_factory=LoopOptions)
 
 
-def _lengths2(equations: BundleEquations) -> Float[ndarray, "*batch corners"]:
-    """All cameras' squared residual lengths, flattened."""
-    return np.concatenate([e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1) for e in equations.cameras], axis=-1)
-
-
-def visibility(problem: BundleProblem) -> Bool[ndarray, "*batch corners"] | None:
-    """All cameras' seen corners, flattened; None where all are seen."""
-    if all(c.is_seen.all() for c in problem.cameras):
-        return None
-    return np.concatenate([c.is_seen.reshape(*c.is_seen.shape[:-2], -1) for c in problem.cameras], axis=-1)
+def noise_estimate_px(problem: BundleProblem, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
+    """Noise of one corner coordinate of each rig from the squared residual lengths of its cameras (MAD); floored."""
+    return robust.scale_of_median(median_lengths2(r2_px2, tuple(c.is_seen for c in problem.cameras)))
 
 
 def _cost(equations: BundleEquations, scale_px: ndarray, kernel: robust.Kernel) -> ndarray:
@@ -108,7 +101,7 @@ def minimize(
     kernel = options.kernel
     batch = start.t_left_board.shape[:-2]
     if scale_px is None:
-        noise_px = robust.scale_from_median(residual_lengths2(problem, start), visibility(problem))
+        noise_px = noise_estimate_px(problem, residual_lengths2(problem, start))
         scale = options.scale_factor * np.where(np.isfinite(noise_px), noise_px, 1.0)
     else:
         scale = np.broadcast_to(np.asarray(scale_px, dtype=float), batch).copy()
@@ -119,7 +112,6 @@ def minimize(
     n_iterations = np.zeros(batch, dtype=int)
     is_converged = np.zeros(batch, dtype=bool)
     is_running = np.isfinite(cost)
-    is_seen = visibility(problem)
     for _ in range(options.max_iterations):
         if not is_running.any():
             break
@@ -138,7 +130,9 @@ def minimize(
         elif take.any():
             estimate = select_rigs(take, candidate, estimate)
             equations = select_equations(take, trial, equations)
-        mad = np.maximum(options.scale_factor * robust.scale_from_median(_lengths2(equations), is_seen), 1e-300)
+        mad = np.maximum(
+            options.scale_factor * noise_estimate_px(problem, tuple(e.r2_px2 for e in equations.cameras)), 1e-300
+        )
         last_step_px = np.where(take, step_px, last_step_px)
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
         damping = np.where(
