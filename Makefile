@@ -1,5 +1,5 @@
 # make demo: render, calibrate and compare.  make test: what CI runs.  make lint: the checks without the tests.
-# Each makes .venv first, and makes it anew when pyproject.toml or constraints.txt change.
+# Each makes .venv and the compiled kernel first, and anew when pyproject.toml, constraints.txt or a kernel changes.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -22,7 +22,9 @@ docs: $(VENV)/.stamp
 	$(BIN)/python docs/make_cli_reference.py
 	$(BIN)/python docs/make_picture.py
 
-$(VENV)/.stamp: pyproject.toml constraints.txt
+KERNEL := CMakeLists.txt $(wildcard src/binocal/native/*.cpp src/binocal/native/*.hpp)
+
+$(VENV)/.stamp: pyproject.toml constraints.txt $(KERNEL)
 	@if ! $(BIN)/python -c '$(IS_NEW_ENOUGH)' 2>/dev/null; then \
 	  found=; \
 	  for name in $(PYTHONS); do \

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -46,6 +48,24 @@ def test_every_public_name_is_there(name):
     if importlib.util.find_spec(home) is None:
         pytest.skip(f"{home} is not part of this installation")
     assert getattr(binocal, name) is not None and name in dir(binocal)
+
+
+def test_one_door_leads_to_the_compiled_kernel():
+    # import-linter sees Python modules only
+    home = Path(binocal.__file__).parent
+    outside = [path for path in home.rglob("*.py") if path.parent != home / "native"]
+    assert len(outside) > 50 and not [path for path in outside if "_kernel" in imported_names(path)]
+    assert "_kernel" in imported_names(home / "native" / "__init__.py")
+
+
+def imported_names(path: Path) -> set[str]:
+    """Every part of every module name, and every name, that a source file imports."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names.update(alias.name for alias in node.names)
+            names.update((getattr(node, "module", None) or "").split("."))
+    return names
 
 
 def test_an_unknown_name_is_an_attribute_error():

@@ -37,6 +37,7 @@ MIN_NORMAL_SPREAD_DEG = 2.0
 Unless the focal lengths are known in spite of it.
 """
 PARALLEL_FOCAL_SIGMA_SHARE = 0.002
+MAX_SPACING_VIEWS = 20  # evenly chosen; more do not move the median spacing by 5 %
 MAX_OUTLIER_SHARE = 0.3  # a robust fit that drops more than this has chosen one story among several
 
 MAX_CENTRE_OFFSET_SHARE = 0.25
@@ -174,5 +175,7 @@ def corner_spacing_px(detections: Detections) -> float:
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
     distance[index, index] = np.inf
     nearest = np.argmin(distance, axis=1)
-    gaps = [np.linalg.norm(px[:, nearest] - px, axis=-1) for px in (detections.left_px, detections.right_px)]
-    return float(np.nanmedian(np.concatenate(gaps, axis=None)))
+    some = np.linspace(0, detections.n_views - 1, min(detections.n_views, MAX_SPACING_VIEWS)).round().astype(int)
+    steps = np.concatenate([px[some][:, nearest] - px[some] for px in (detections.left_px, detections.right_px)])
+    gaps = np.hypot(steps[..., 0], steps[..., 1])
+    return float(np.median(gaps[np.isfinite(gaps)]))

@@ -132,7 +132,7 @@ def poses_from_rays(
         rows = solve_plane(plane_moments(frame.basis, a, b, px)).rows
         is_usable = (np.count_nonzero(w > 0.05, axis=-1) >= MIN_POINTS) & np.all(np.isfinite(rows), axis=(-1, -2))
         rows = np.where(is_usable[:, None, None], rows, np.eye(3))
-        R, t, size = _decompose(rows, frame.scale)
+        R, t, size = decompose(rows, frame.scale)
         depth = map_plane(rows, frame.xy)[2] * (frame.scale / size)[:, None]
         moments = plane_moments(frame.basis, a, b, px / np.maximum(depth * depth, 1e-4 * t[:, 2:] ** 2))
     moments = np.where(is_usable[:, None, None, None], moments, np.eye(3))
@@ -167,7 +167,7 @@ def select_poses(poses: BoardPoses, views: Int[ndarray, "k"]) -> BoardPoses:
     )  # fmt: skip
 
 
-def _decompose(rows: Float[ndarray, "*batch 3 3"], scale: float) -> tuple[ndarray, ndarray, ndarray]:
+def decompose(rows: Float[ndarray, "*batch 3 3"], scale: float) -> tuple[ndarray, ndarray, ndarray]:
     """Rotation, position of the frame's centre, and length of the columns, by orthogonalising [h1 h2] symmetrically."""
     A = rows[..., :2]
     G = A.swapaxes(-1, -2) @ A

@@ -13,15 +13,23 @@ once. All functions are pure.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import CameraModel
 from binocal.geometry import so3
+from binocal.native import (
+    ViewEquations,
+    accumulate,
+    compose_poses,
+    reduced_information,
+    solve_steps,
+    squared_lengths,
+    step_poses,
+)
 from binocal.solvers import robust
-from binocal.solvers.accumulate import ViewEquations, accumulate, squared_lengths
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -127,8 +135,7 @@ def right_poses(
     estimate: BundleEstimate,
 ) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
     """``T_right_board`` of every view."""
-    R, t = estimate.R_right_left[..., None, :, :], estimate.t_right_left[..., None, :]
-    return R @ estimate.R_left_board, (R @ estimate.t_left_board[..., None])[..., 0] + t
+    return compose_poses(estimate.R_right_left, estimate.t_right_left, estimate.R_left_board, estimate.t_left_board)
 
 
 def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple[ndarray, ndarray]]:
@@ -137,15 +144,13 @@ def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple
     return [left, right_poses(estimate)] if problem.is_stereo else [left]
 
 
-def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> Float[ndarray, "*batch corners"]:
-    """Squared residual lengths of all cameras, flattened; 0 where not seen."""
-    lengths2 = [
-        squared_lengths(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
-        for c, parameters, (R, t) in zip(
-            problem.cameras, estimate.parameters, camera_poses(problem, estimate), strict=True
-        )
-    ]
-    return np.concatenate([r2.reshape(*r2.shape[:-2], -1) for r2 in lengths2], axis=-1)
+def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views n"], ...]:
+    """Squared residual lengths of each camera; 0 where not seen."""
+    poses = camera_poses(problem, estimate)
+    return tuple(
+        squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
+        for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
+    )
 
 
 def linearize(
@@ -154,7 +159,9 @@ def linearize(
     """Residuals and normal equations of all cameras at an estimate."""
     poses = camera_poses(problem, estimate)
     equations = tuple(
-        accumulate(c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel)
+        accumulate(
+            c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel, c.is_free
+        )
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )
     cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
@@ -171,99 +178,42 @@ def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:
     return np.where(camera.is_free, camera.model.prior_precision, 0.0)
 
 
-def assemble(
-    problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations
-) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
-    """Full normal equations in blocks.
-
-    Shared H (*b, s, s) and g, views' H (*b, v, 6, 6) and g, coupling (*b, v, 6, s).
-    """
-    H_views, coupling, g_views = [], [], []
-    n_shared = problem.n_shared
-    batch_views = estimate.t_left_board.shape[:-1]
-    H = np.zeros((*batch_views[:-1], n_shared, n_shared))
-    g = np.zeros((*batch_views[:-1], n_shared))
-    column = 0
-    for index, (camera, e) in enumerate(zip(problem.cameras, equations.cameras, strict=True)):
-        p = camera.model.n_parameters
-        pose = slice(p, p + 6)
-        free = np.nonzero(camera.is_free)[0]
-        use_rig = index == 1 and problem.is_rig_free
-        keep = np.r_[free, np.arange(p, p + 6)] if use_rig else free
-        place = np.arange(column, column + len(free))
-        column += len(free)
-        if use_rig:
-            place = np.r_[place, np.arange(n_shared - 6, n_shared)]
-        total = e.gram.sum(axis=-3)
-        H[..., place[:, None], place] += total[..., keep[:, None], keep]
-        g[..., place] += total[..., keep, -1]
-        precision = prior_precision(camera)[free]
-        if precision.any():
-            own = place[: len(free)]
-            weight = equations.scale_px[..., None] ** 2 * precision
-            H[..., own, own] += weight
-            g[..., own] -= weight * estimate.parameters[index][..., free]
-        H_pose, cross, g_pose = e.gram[..., pose, pose], e.gram[..., pose, :][..., keep], e.gram[..., pose, -1]
-        if index == 1:
-            Ad = adjoint(estimate.R_right_left, estimate.t_right_left)[..., None, :, :]
-            Ad_T = Ad.swapaxes(-1, -2)
-            H_pose, cross, g_pose = Ad_T @ H_pose @ Ad, Ad_T @ cross, (Ad_T @ g_pose[..., None])[..., 0]
-        W = np.zeros((*batch_views, 6, n_shared))
-        W[..., place] = cross
-        H_views.append(H_pose)
-        coupling.append(W)
-        g_views.append(g_pose)
-    return H, g, sum(H_views), sum(g_views), sum(coupling)
-
-
-def reduce_views(
-    H: ndarray, g: ndarray, H_views: ndarray, g_views: ndarray, coupling: ndarray
-) -> tuple[ndarray, ndarray, ndarray]:
-    """Schur complement over the views: reduced H and g, and H_views⁻¹ [coupling, g_views] for back-substitution.
-
-    A view without any corner has a zero block; it is given the identity, so that it neither steps nor counts.
-    """
-    is_empty = np.trace(H_views, axis1=-2, axis2=-1) <= 0
-    if is_empty.any():
-        H_views = np.where(is_empty[..., None, None], np.eye(6), H_views)
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(H_views, axis1=-2, axis2=-1), 1e-300))
-    scaled = H_views * scale[..., :, None] * scale[..., None, :]
-    right = np.concatenate([coupling, g_views[..., None]], axis=-1) * scale[..., :, None]
-    solved = np.linalg.solve(scaled, right) * scale[..., :, None]
-    reduced = np.einsum("...vps,...vpr->...sr", coupling, solved, optimize=True)
-    return H - reduced[..., :-1], g - reduced[..., -1], solved
-
-
 def solve_step(
     problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations, damping: Float[ndarray, "*batch"]
 ) -> BundleStep:
     """Levenberg-Marquardt step with Marquardt's scaling (1963): the diagonal grows by the factor 1 + damping.
 
-    Raises:
-        np.linalg.LinAlgError: The damped equations are singular (a rig of the batch is degenerate).
+    NaN where the damped equations are singular (a rig of the batch is degenerate).
     """
-    H, g, H_views, g_views, coupling = assemble(problem, estimate, equations)
     growth = 1 + np.asarray(damping, dtype=float)
-    H_damped, views_damped = H.copy(), H_views.copy()
-    i, j = np.arange(H.shape[-1]), np.arange(6)
-    H_damped[..., i, i] *= growth[..., None]
-    views_damped[..., j, j] *= growth[..., None, None]
-    H_reduced, g_reduced, solved = reduce_views(H_damped, g, views_damped, g_views, coupling)
-    shared = _solve_scaled(H_reduced, g_reduced, np.diagonal(H_damped, axis1=-2, axis2=-1))
-    views = solved[..., -1] - (solved[..., :-1] @ shared[..., None, :, None])[..., 0]
-    linear = np.einsum("...s,...s->...", shared, g) + np.einsum("...vp,...vp->...", views, g_views)
-    extra = np.einsum("...s,...s->...", shared**2, np.diagonal(H, axis1=-2, axis2=-1)) + np.einsum(
-        "...vp,...vp->...", views**2, np.diagonal(H_views, axis1=-2, axis2=-1)
-    )
-    return BundleStep(shared, views, 0.5 * (linear + (growth - 1) * extra))
+    return BundleStep(*solve_steps(**_equations(problem, estimate, equations), growth=growth))
 
 
-def _solve_scaled(H: ndarray, g: ndarray, diagonal: ndarray) -> ndarray:
-    """H x = g, equilibrated by the diagonal: pixels and distortion coefficients differ by 10⁸ in their squares."""
-    if H.shape[-1] == 0:
-        return np.zeros_like(g)
-    s = 1 / np.sqrt(np.maximum(diagonal, 1e-300))
-    return np.linalg.solve(H * s[..., :, None] * s[..., None, :], (g * s)[..., None])[..., 0] * s
+def shared_information(
+    problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations
+) -> Float[ndarray, "*batch s s"]:
+    """Information of the shared parameters for unit noise, all board poses free; weak priors count."""
+    return reduced_information(**_equations(problem, estimate, equations))
+
+
+def _equations(problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations) -> dict[str, Any]:
+    """What the kernel needs to know of the normal equations."""
+    precision = [prior_precision(c)[c.is_free] for c in problem.cameras]
+    prior = None
+    if any(own.any() for own in precision):
+        held = np.zeros(problem.n_shared - sum(len(own) for own in precision))
+        values = [p[..., c.is_free] for c, p in zip(problem.cameras, estimate.parameters, strict=True)]
+        batch = equations.scale_px.shape
+        own = np.concatenate([np.broadcast_to(v, (*batch, v.shape[-1])) for v in [*values, held]], axis=-1)
+        weight = equations.scale_px[..., None] ** 2 * np.concatenate([*precision, held])
+        prior = (weight, -weight * own)
+    return {
+        "grams": tuple(e.gram for e in equations.cameras),
+        "is_free": tuple(c.is_free for c in problem.cameras),
+        "T_right_left": (estimate.R_right_left, estimate.t_right_left) if problem.is_stereo else None,
+        "is_rig_free": problem.is_rig_free,
+        "prior": prior,
+    }
 
 
 def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) -> BundleEstimate:
@@ -275,17 +225,12 @@ def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) 
         moved[..., camera.is_free] += step.shared[..., column : column + count]
         column += count
         parameters.append(moved)
-    R, t = _step_pose(estimate.R_left_board, estimate.t_left_board, step.views)
+    R, t = step_poses(estimate.R_left_board, estimate.t_left_board, step.views)
     out = replace(estimate, parameters=tuple(parameters), R_left_board=R, t_left_board=t)
     if problem.is_stereo and problem.is_rig_free:
-        R, t = _step_pose(estimate.R_right_left, estimate.t_right_left, step.shared[..., column:])
+        R, t = step_poses(estimate.R_right_left, estimate.t_right_left, step.shared[..., column:])
         out = replace(out, R_right_left=R, t_right_left=t)
     return out
-
-
-def _step_pose(R: ndarray, t: ndarray, xi: ndarray) -> tuple[ndarray, ndarray]:
-    turn = so3.exp(xi[..., :3])
-    return turn @ R, (turn @ t[..., None])[..., 0] + xi[..., 3:]
 
 
 def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleEstimate) -> BundleEstimate:

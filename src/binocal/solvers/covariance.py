@@ -17,9 +17,8 @@ from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    assemble,
     linearize,
-    reduce_views,
+    shared_information,
 )
 from binocal.solvers.least_squares import Minimum
 
@@ -50,9 +49,9 @@ def shared_covariance(
     Raises:
         DegenerateGeometryError: The information matrix is singular.
     """
-    H, _, _ = reduce_views(*assemble(problem, estimate, equations))
+    H = shared_information(problem, estimate, equations)
     scale = 1 / np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-    values, vectors = np.linalg.eigh(H * scale[:, None] * scale)
+    values, vectors = np.linalg.eigh(np.nan_to_num(H * scale[:, None] * scale))
     if not values[0] > values[-1] / SINGULAR_CONDITION:
         weakest = np.abs(vectors[:, 0])
         names = [shared_names(problem)[i] for i in np.argsort(-weakest)[:3]]

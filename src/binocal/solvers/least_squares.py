@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
+from binocal.native import median_lengths2, robust_costs
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
@@ -69,28 +70,16 @@ class Minimum:
     options: LoopOptions = field(default_factory=LoopOptions)
 
 
-def squared_residuals(problem: BundleProblem, equations: BundleEquations) -> tuple[ndarray, ndarray]:
-    """All cameras' squared residual lengths and visibility, flattened: two arrays (*batch, cameras * views * n)."""
-    r2 = [e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1) for e in equations.cameras]
-    return np.concatenate(r2, axis=-1), visibility(problem)
+def noise_estimate_px(problem: BundleProblem, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
+    """Noise of one corner coordinate of each rig from the squared residual lengths of its cameras (MAD); floored."""
+    return robust.scale_of_median(median_lengths2(r2_px2, tuple(c.is_seen for c in problem.cameras)))
 
 
-def visibility(problem: BundleProblem) -> Bool[ndarray, "*batch corners"]:
-    """All cameras' seen corners, flattened."""
-    return np.concatenate([c.is_seen.reshape(*c.is_seen.shape[:-2], -1) for c in problem.cameras], axis=-1)
-
-
-def noise_estimate_px(problem: BundleProblem, equations: BundleEquations) -> Float[ndarray, "*batch"]:
-    """MAD estimate of the noise of one corner coordinate."""
-    return robust.scale_from_median(*squared_residuals(problem, equations))
-
-
-def _cost(problem: BundleProblem, equations: BundleEquations, scale_px: ndarray, kernel: robust.Kernel) -> ndarray:
+def _cost(equations: BundleEquations, scale_px: ndarray, kernel: robust.Kernel) -> ndarray:
     """Robust cost of stored residuals under another scale."""
-    total = np.asarray(scale_px) ** 2 * equations.prior_energy
+    total = scale_px**2 * equations.prior_energy
     for e in equations.cameras:
-        r2 = e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1)
-        total = total + robust.costs(r2, np.asarray(scale_px)[..., None], kernel).sum(axis=-1)
+        total = total + robust_costs(e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1), scale_px, kernel)
     return np.where(np.isfinite(equations.cost_px2), total, np.inf)
 
 
@@ -112,7 +101,7 @@ def minimize(
     kernel = options.kernel
     batch = start.t_left_board.shape[:-2]
     if scale_px is None:
-        noise_px = robust.scale_from_median(residual_lengths2(problem, start), visibility(problem))
+        noise_px = noise_estimate_px(problem, residual_lengths2(problem, start))
         scale = options.scale_factor * np.where(np.isfinite(noise_px), noise_px, 1.0)
     else:
         scale = np.broadcast_to(np.asarray(scale_px, dtype=float), batch).copy()
@@ -126,12 +115,7 @@ def minimize(
     for _ in range(options.max_iterations):
         if not is_running.any():
             break
-        try:
-            step = solve_step(problem, estimate, equations, damping)
-        except np.linalg.LinAlgError:
-            damping = np.where(is_running, _raised(damping, options), damping)
-            is_running &= damping < options.max_damping
-            continue
+        step = solve_step(problem, estimate, equations, damping)
         candidate = retract(problem, estimate, step)
         trial = linearize(problem, candidate, scale, kernel)
         n_iterations += is_running
@@ -146,7 +130,9 @@ def minimize(
         elif take.any():
             estimate = select_rigs(take, candidate, estimate)
             equations = select_equations(take, trial, equations)
-        mad = np.maximum(options.scale_factor * noise_estimate_px(problem, equations), 1e-300)
+        mad = np.maximum(
+            options.scale_factor * noise_estimate_px(problem, tuple(e.r2_px2 for e in equations.cameras)), 1e-300
+        )
         last_step_px = np.where(take, step_px, last_step_px)
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
         damping = np.where(
@@ -162,7 +148,7 @@ def minimize(
         changed = new_scale != scale
         if np.any(changed):
             scale = new_scale
-            cost = np.where(changed, _cost(problem, equations, scale, kernel), np.where(take, equations.cost_px2, cost))
+            cost = np.where(changed, _cost(equations, scale, kernel), np.where(take, equations.cost_px2, cost))
         else:
             cost = np.where(take, equations.cost_px2, cost)
     return Minimum(estimate, equations, scale, kernel, n_iterations, is_converged, options)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from binocal.native import unweighted_columns
 from binocal.solvers import robust
-from binocal.solvers.accumulate import unweighted_columns
 from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
@@ -85,7 +85,7 @@ def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate, damping: 
     poses = camera_poses(problem, estimate)
     for index, (camera, (R, t)) in enumerate(zip(problem.cameras, poses, strict=True)):
         J = unweighted_columns(
-            camera.model, estimate.parameters[index], R, t, problem.object_points, camera.pixels, camera.is_seen
+            camera.model.name, estimate.parameters[index], R, t, problem.object_points, camera.pixels, camera.is_seen
         )
         p = camera.model.n_parameters
         free = np.nonzero(camera.is_free)[0]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
 Kernel = Literal["squared", "cauchy", "hampel"]
 
@@ -67,18 +67,6 @@ def costs(
     return rho * s2
 
 
-def scale_from_median(r2: Float[ndarray, "*batch n"], is_seen: Bool[ndarray, "*batch n"]) -> Float[ndarray, "*batch"]:
-    """Noise of one coordinate, pixels, from the median residual length (the MAD of residuals centred on 0); floored.
-
-    The last axis is reduced. Where nothing is seen the floor is returned.
-    """
-    is_seen = np.broadcast_to(is_seen, r2.shape)
-    if is_seen.all():
-        median = np.median(r2, axis=-1)
-    else:
-        ordered = np.sort(np.where(is_seen, r2, np.inf), axis=-1)
-        n = is_seen.sum(axis=-1)
-        low = np.take_along_axis(ordered, np.maximum((n - 1) // 2, 0)[..., None], axis=-1)[..., 0]
-        high = np.take_along_axis(ordered, np.clip(n // 2, 0, r2.shape[-1] - 1)[..., None], axis=-1)[..., 0]
-        median = np.where(n > 0, 0.5 * (low + high), 0.0)
-    return np.maximum(np.sqrt(median) / MEDIAN_OF_RAYLEIGH, SCALE_FLOOR_PX)
+def scale_of_median(median_r2: Float[ndarray, "*batch"]) -> Float[ndarray, "*batch"]:
+    """Noise of one coordinate, pixels, from the median squared residual length (the MAD of residuals about 0); floored."""
+    return np.maximum(np.sqrt(median_r2) / MEDIAN_OF_RAYLEIGH, SCALE_FLOOR_PX)

@@ -1,0 +1,110 @@
+"""A start for sets of views in which nothing is wrong, at a tenth of the cost of finding out what is.
+
+Plain homographies of all pictures at once, a focal length for each camera with the principal point held in the middle,
+poses, and the mean of the views' relative poses: rough, and not robust against anything. Whoever uses it must let the
+joint solver prove it (:mod:`binocal.calibrators.lm` does) and go the long way of
+:mod:`binocal.initialization.consistency` otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.cameras import camera_model
+from binocal.detections import Detections
+from binocal.geometry import SE3, so3
+from binocal.geometry.homography import PlaneFrame, fit_plane
+from binocal.initialization.poses import decompose
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MIN_CORNERS = 12  # of every picture; fewer leave a homography too free to prove anything
+_OUTSIDE_PX = 2.0
+_FOCAL_RANGE = (0.3, 20.0)  # half diagonals: 150 deg to 6 deg of view
+_MAX_LENS_RESIDUAL = 0.01  # of a half diagonal; a lens that bends straight lines by more needs the long way's profile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanStart:
+    """Rough cameras, rig and boards.
+
+    ``parameters``: left and right, fx, fy, cx, cy, then zeros. ``homography_px`` is the RMS residual of one coordinate
+    of all corners under free homographies, which no rig can beat by more than their eight parameters and the lens allow.
+    """
+
+    parameters: tuple[Float[ndarray, "p"], Float[ndarray, "p"]]
+    T_right_left: SE3
+    T_left_board: SE3
+    homography_px: float
+
+
+def estimate_clean_start(detections: Detections, model: str) -> CleanStart | None:
+    """A rough start from closed forms alone, or None where the views do not look clean at first sight.
+
+    Every picture must show twelve corners or more, inside the picture, and no lens that bends the board visibly.
+    """
+    pixels = np.concatenate([detections.left_px, detections.right_px])
+    n_views = detections.n_views
+    is_seen = np.isfinite(pixels[..., 0])
+    if is_seen.sum(axis=-1).min(initial=len(is_seen[0])) < MIN_CORNERS:
+        return None
+    is_full = bool(is_seen.all())
+    size = np.repeat([detections.left_size_wh, detections.right_size_wh], n_views, axis=0).astype(float)
+    centre = (size - 1) / 2
+    unit_px = np.hypot(size[:, 0], size[:, 1]) / 2
+    normalised = (pixels - centre[:, None]) / unit_px[:, None, None]
+    if not is_full:
+        normalised[~is_seen] = 0.0
+    u, v = normalised[..., 0], normalised[..., 1]
+    limit = (centre + 0.5 + _OUTSIDE_PX) / unit_px[:, None]
+    if np.any(np.abs(u).max(axis=-1) > limit[:, 0]) or np.any(np.abs(v).max(axis=-1) > limit[:, 1]):
+        return None
+    frame = PlaneFrame.of(detections.object_points_m)
+    weights = is_seen.astype(float)
+    fit, du, dv = fit_plane(frame, u, v, weights, n_passes=1)
+    squares = weights * (du * du + dv * dv)
+    n_corners = is_seen.sum()
+    rms = np.sqrt(squares.sum() / (2 * n_corners))
+    if not rms < _MAX_LENS_RESIDUAL:  # NaN too: a picture whose corners lie on a line
+        return None
+    focal = _focal_lengths(fit.rows.reshape(2, n_views, 3, 3))
+    if focal is None:
+        return None
+    poses = _poses(frame, fit.rows / np.repeat(focal, n_views)[:, None, None] ** [[1], [1], [0]])
+    left, right = poses[:n_views], poses[n_views:]
+    R = so3.project_to_rotation(np.mean(right.R @ left.R.swapaxes(-1, -2), axis=0))
+    T_right_left = SE3(R, np.mean(right.t - left.t @ R.T, axis=0))
+    parameters = []
+    for side in range(2):
+        start = np.zeros(camera_model(model).n_parameters)
+        start[:2] = focal[side] * unit_px[side * n_views]
+        start[2:4] = centre[side * n_views]
+        parameters.append(start)
+    homography_px = float(np.sqrt((squares.sum(axis=-1) * unit_px**2).sum() / (2 * n_corners - 8 * len(pixels))))
+    return CleanStart((parameters[0], parameters[1]), T_right_left, left, homography_px)
+
+
+def _focal_lengths(rows: Float[ndarray, "cameras views 3 3"]) -> Float[ndarray, "cameras"] | None:
+    """Focal length of each camera, principal point at the origin, square pixels: one linear unknown, 1 / f².
+
+    Source: Zhang 2000, eqs 3 and 4. None where one comes out implausible.
+    """
+    h1, h2 = rows[..., 0], rows[..., 1]
+    size = np.sum(h1 * h1, axis=-1) + np.sum(h2 * h2, axis=-1)
+    both = np.stack([h1 * h2, (h1 * h1 - h2 * h2) / 2], axis=-2) / size[..., None, None]
+    a, b = both[..., 0] + both[..., 1], both[..., 2]
+    inverse2 = -np.sum(a * b, axis=(-1, -2)) / np.sum(a * a, axis=(-1, -2))
+    with np.errstate(all="ignore"):
+        focal = 1 / np.sqrt(inverse2)
+    return focal if np.all((focal > _FOCAL_RANGE[0]) & (focal < _FOCAL_RANGE[1])) else None
+
+
+def _poses(frame: PlaneFrame, rows: Float[ndarray, "k 3 3"]) -> SE3:
+    """Board poses of homographies board → rays, rows normalised to the frame."""
+    R, t_centre, _ = decompose(rows, frame.scale)
+    return SE3(R, t_centre - R[..., :2] @ frame.centre)

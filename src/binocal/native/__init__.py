@@ -1,0 +1,264 @@
+"""The one door to the compiled kernel: the inner loop of the joint solver.
+
+Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
+T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
+of the rig and of the board poses with adjoints (:mod:`binocal.solvers.bundle`).
+
+The kernel holds no lock while it works and gives the same result for any number of threads. Its formulas are those of
+:mod:`binocal.cameras` and :mod:`binocal.solvers.robust`; tests/native states them plainly in NumPy and compares.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy import ndarray
+
+try:
+    from binocal.native import _kernel
+except ImportError as error:
+    raise ImportError(
+        "binocal's compiled kernel is missing or was built for another Python; install binocal with pip "
+        "(from a working tree: make, or pip install -e .)"
+    ) from error
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+CORNERS_PER_THREAD = 20_000  # half a millisecond of work; starting a thread costs some 30 microseconds
+
+VIEWS_PER_THREAD = 400  # likewise, for the elimination of the board poses
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewEquations:
+    """Normal equations of every view of one camera.
+
+    ``gram`` is the weighted Gram matrix of the columns [parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one; 0
+    in the rows and columns of parameters that are held.
+    ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost
+    per view; inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
+    """
+
+    gram: Float[ndarray, "*batch views q q"]
+    r2_px2: Float[ndarray, "*batch views n"]
+    cost_px2: Float[ndarray, "*batch views"]
+
+
+def n_cpus() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+_N_CPUS = n_cpus()
+
+
+def _n_threads(n_corners: int) -> int:
+    return min(_N_CPUS, 1 + n_corners // CORNERS_PER_THREAD)
+
+
+def accumulate(
+    model: str,
+    parameters: Float[ndarray, "*batch p"],
+    R_camera_board: Float[ndarray, "*batch views 3 3"],
+    t_camera_board: Float[ndarray, "*batch views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    is_seen: Bool[ndarray, "*batch views n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+    is_free: Bool[ndarray, "p"] | None = None,
+) -> ViewEquations:
+    """Linearise every corner of every view.
+
+    ``pixels`` must be finite where not seen too (any number). Parameters that are not ``is_free`` (default: all are)
+    get no columns, which saves their time.
+    """
+    *batch, n_views, n = is_seen.shape
+    q = parameters.shape[-1] + 7
+    n_rigs = int(np.prod(batch, dtype=int))
+    gram = np.empty((*batch, n_views, q, q))
+    r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
+    free = np.ones(q - 7, dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
+    scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
+    arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
+    _kernel.accumulate(model, *arrays, free, scale, kernel, gram, r2, cost, _n_threads(r2.size))
+    return ViewEquations(gram, r2, cost)
+
+
+def squared_lengths(
+    model: str,
+    parameters: Float[ndarray, "*batch p"],
+    R_camera_board: Float[ndarray, "*batch views 3 3"],
+    t_camera_board: Float[ndarray, "*batch views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    is_seen: Bool[ndarray, "*batch views n"],
+) -> Float[ndarray, "*batch views n"]:
+    """Squared residual lengths alone. 0 where not seen, inf where not finite."""
+    n_rigs = int(np.prod(is_seen.shape[:-2], dtype=int))
+    r2 = np.empty(is_seen.shape)
+    arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
+    _kernel.squared_lengths(model, *arrays, r2, _n_threads(r2.size // 4))
+    return r2
+
+
+def robust_costs(
+    r2_px2: Float[ndarray, "*batch n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+) -> Float[ndarray, "*batch"]:
+    """Robust cost of squared residual lengths, summed over the last axis."""
+    batch = r2_px2.shape[:-1]
+    n_rigs = int(np.prod(batch, dtype=int))
+    cost = np.empty(batch)
+    scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
+    _kernel.costs(np.ascontiguousarray(r2_px2, dtype=float).reshape(n_rigs, -1), scale, kernel, cost)
+    return cost
+
+
+def median_lengths2(
+    r2_px2: tuple[Float[ndarray, "*batch views n"], ...], is_seen: tuple[Bool[ndarray, "*batch views n"], ...]
+) -> Float[ndarray, "*batch"]:
+    """Median of each rig's seen squared residual lengths, all cameras together; 0 where nothing is seen."""
+    medians = np.empty(r2_px2[0].shape[:-2])
+    _kernel.medians([np.ascontiguousarray(a) for a in r2_px2], [np.ascontiguousarray(a) for a in is_seen], medians)
+    return medians
+
+
+def step_poses(
+    R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"], xi: Float[ndarray, "*batch 6"]
+) -> tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]]:
+    """Rigid transforms stepped from the left: ``(exp(omega), tau) T`` with xi = (omega, tau)."""
+    arrays = [np.ascontiguousarray(a, dtype=float) for a in (R, t, xi)]
+    out = np.empty(arrays[0].shape), np.empty(arrays[1].shape)
+    _kernel.step_poses(*arrays, *out)
+    return out
+
+
+def compose_poses(
+    R_rig: Float[ndarray, "*batch 3 3"],
+    t_rig: Float[ndarray, "*batch 3"],
+    R: Float[ndarray, "*batch views 3 3"],
+    t: Float[ndarray, "*batch views 3"],
+) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
+    """Every rig's transform after each of its views'."""
+    arrays = [np.ascontiguousarray(a, dtype=float) for a in (R_rig, t_rig, R, t)]
+    out = np.empty(arrays[2].shape), np.empty(arrays[3].shape)
+    _kernel.compose_poses(*arrays, *out)
+    return out
+
+
+def unweighted_columns(
+    model: str,
+    parameters: Float[ndarray, "p"],
+    R_camera_board: Float[ndarray, "views 3 3"],
+    t_camera_board: Float[ndarray, "views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "views 2 n"],
+    is_seen: Bool[ndarray, "views n"],
+) -> Float[ndarray, "views q 2n"]:
+    """The columns [parameters, xi (6), residual] themselves, of one rig, for solvers that must not square them."""
+    n_views, n = is_seen.shape
+    columns = np.empty((n_views, len(parameters) + 7, 2 * n))
+    _kernel.unweighted_columns(
+        model, *_flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, 1), columns
+    )
+    return columns
+
+
+def solve_steps(
+    grams: tuple[Float[ndarray, "*batch views q q"], ...],
+    is_free: tuple[Bool[ndarray, "p"], ...],
+    T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
+    growth: Float[ndarray, "*batch"],
+    *,
+    is_rig_free: bool = True,
+    prior: tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch s"]] | None = None,
+) -> tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch views 6"], Float[ndarray, "*batch"]]:
+    """Shared and view steps of the joint normal equations, and the fall of the cost that they predict.
+
+    ``grams`` come from :func:`accumulate`, one for each camera; the diagonal of the normal equations is multiplied by
+    ``growth``. Shared unknowns are the cameras' free parameters, then the rig's six if it is free. ``prior`` is added
+    to their diagonal and gradient. Views are eliminated by Cholesky factors (Schur complement), the rest by Gauss with
+    pivoting, both equilibrated. A rig whose equations are singular gets NaN.
+    """
+    *batch, n_views, _, _ = grams[0].shape
+    n_shared = sum(int(np.count_nonzero(free)) for free in is_free) + (6 if len(grams) == 2 and is_rig_free else 0)
+    shared, views, predicted = np.empty((*batch, n_shared)), np.empty((*batch, n_views, 6)), np.empty(batch)
+    _solve(grams, is_free, T_right_left, growth, is_rig_free, prior, (shared, views, predicted, _NOTHING))
+    return shared, views, predicted
+
+
+def reduced_information(
+    grams: tuple[Float[ndarray, "*batch views q q"], ...],
+    is_free: tuple[Bool[ndarray, "p"], ...],
+    T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
+    *,
+    is_rig_free: bool = True,
+    prior: tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch s"]] | None = None,
+) -> Float[ndarray, "*batch s s"]:
+    """Information of the shared unknowns with the board poses free: the Schur complement of :func:`solve_steps`.
+
+    NaN where a view's own equations are singular.
+    """
+    batch = grams[0].shape[:-3]
+    n_shared = sum(int(np.count_nonzero(free)) for free in is_free) + (6 if len(grams) == 2 and is_rig_free else 0)
+    reduced = np.empty((*batch, n_shared, n_shared))
+    out = (_NOTHING, _NOTHING, _NOTHING, reduced)
+    _solve(grams, is_free, T_right_left, np.ones(batch), is_rig_free, prior, out)
+    return reduced
+
+
+_NOTHING = np.empty(0)
+
+
+def _solve(
+    grams: tuple[ndarray, ...],
+    is_free: tuple[ndarray, ...],
+    T_right_left: tuple[ndarray, ndarray] | None,
+    growth: ndarray,
+    is_rig_free: bool,
+    prior: tuple[ndarray, ndarray] | None,
+    out: tuple[ndarray, ndarray, ndarray, ndarray],
+) -> None:
+    n_views = grams[0].shape[-3]
+    n_rigs = int(np.prod(grams[0].shape[:-3], dtype=int))
+    flat = [np.ascontiguousarray(gram).reshape(n_rigs, n_views, *gram.shape[-2:]) for gram in grams]
+    R, t = (_NOTHING, _NOTHING) if T_right_left is None else T_right_left
+    weight, gradient = (_NOTHING, _NOTHING) if prior is None else prior
+    _kernel.solve_steps(
+        flat,
+        [np.ascontiguousarray(free) for free in is_free],
+        *(np.ascontiguousarray(a, dtype=float) for a in (R, t)),
+        is_rig_free,
+        *(np.ascontiguousarray(a, dtype=float) for a in (weight, gradient, growth)),
+        *out,
+        min(_N_CPUS, 1 + n_rigs * n_views // VIEWS_PER_THREAD),
+    )
+
+
+def _flat(
+    parameters: ndarray,
+    R: ndarray,
+    t: ndarray,
+    object_points: ndarray,
+    pixels: ndarray,
+    is_seen: ndarray,
+    n_rigs: int,
+) -> tuple[ndarray, ...]:
+    """Contiguous arrays with the batch dimensions made one."""
+    n = is_seen.shape[-1]
+    return (
+        np.ascontiguousarray(parameters, dtype=float).reshape(n_rigs, -1),
+        np.ascontiguousarray(R, dtype=float).reshape(-1, 3, 3),
+        np.ascontiguousarray(t, dtype=float).reshape(-1, 3),
+        np.ascontiguousarray(object_points, dtype=float),
+        np.ascontiguousarray(pixels, dtype=float).reshape(-1, 2, n),
+        np.ascontiguousarray(is_seen).reshape(-1, n),
+    )

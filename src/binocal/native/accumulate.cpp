@@ -1,0 +1,564 @@
+// Residuals, Jacobians and per-view normal equations of one camera (binocal.native says what the arrays mean).
+//
+// A view is linearised column by column: every column of [parameters, xi, residual] is a run of u entries followed by
+// one of v entries, padded with zeros to whole vectors, so that both the camera model and the Gram matrix are plain
+// loops over corners. Views are independent; each is summed in one fixed order, whatever the number of threads.
+
+#include "gram.hpp"
+#include "kernel.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+
+namespace binocal {
+namespace {
+
+constexpr double kHampelFlat = 3.5, kHampelDrop = 4.5, kHampelEnd = 7.0;  // binocal.solvers.robust
+constexpr int kMaxColumns = 20;  // brown8: 13 parameters, 6 pose columns, the residual
+
+enum class Kernel { squared, cauchy, hampel };
+
+struct Task {
+    std::size_t n_views, views_per_rig, n;  // views of all rigs, views of one, corners of a view
+    int p;                                  // parameters of the model
+    const double *parameters, *R, *t, *points, *pixels, *scale;
+    const bool *is_seen, *is_free;
+    bool any_free, sees_behind;
+    Kernel kernel;
+    double *gram, *r2, *cost;  // of accumulate
+    double* columns;           // of unweighted_columns, else null
+};
+
+// Room for one view, one per thread: the columns, weights, depths and squared lengths.
+struct Scratch {
+    std::size_t run;     // padded corners
+    std::size_t stride;  // from column to column: u run, v run
+    std::vector<double> memory;
+    double *J, *trash, *weight, *Z, *length2;
+    explicit Scratch(std::size_t n) : run((n + kRun - 1) / kRun * kRun), stride(2 * run) {
+        memory.assign((kMaxColumns + 1) * stride + 3 * run + 8, 0.0);
+        auto address = reinterpret_cast<std::uintptr_t>(memory.data());
+        J = memory.data() + (64 - address % 64) % 64 / sizeof(double);
+        trash = J + kMaxColumns * stride;
+        weight = trash + stride;
+        Z = weight + run;
+        length2 = Z + run;
+    }
+};
+
+// Each model fills the parameter columns (only if Full) and returns u, v and their gradients by X, Y, Z of one corner.
+struct Projection {
+    double u, v, ux, uy, uz, vx, vy, vz;
+};
+
+template <int D>
+struct Brown {
+    static constexpr int n_parameters = 5 + D;
+    static constexpr bool is_vectorised = true;
+    double fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6;
+    explicit Brown(const double* a)
+        : fx(a[0]), fy(a[1]), cx(a[2]), cy(a[3]), skew(a[4]), k1(a[5]), k2(a[6]), p1(a[7]), p2(a[8]),
+          k3(D > 4 ? a[D > 4 ? 9 : 0] : 0), k4(D > 5 ? a[D > 5 ? 10 : 0] : 0), k5(D > 5 ? a[D > 5 ? 11 : 0] : 0),
+          k6(D > 5 ? a[D > 5 ? 12 : 0] : 0) {}
+
+    template <bool Full>
+    BINOCAL_INLINE Projection at(double X, double Y, double Z, double* const* c, std::size_t j, std::size_t run) const {
+        const double inverse_Z = 1.0 / Z;
+        const double a = X * inverse_Z, b = Y * inverse_Z;
+        const double a2 = a * a, b2 = b * b, ab = a * b, r2 = a2 + b2;
+        double factor, slope, inverse_denominator = 1.0;
+        if constexpr (D == 4) {
+            factor = 1 + r2 * (k1 + r2 * k2);
+            slope = k1 + 2 * k2 * r2;
+        } else {
+            factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
+            slope = k1 + r2 * (2 * k2 + 3 * k3 * r2);
+        }
+        if constexpr (D == 8) {
+            inverse_denominator = 1.0 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+            factor *= inverse_denominator;
+            slope = (slope - factor * (k4 + r2 * (2 * k5 + 3 * k6 * r2))) * inverse_denominator;
+        }
+        const double two_ab = 2 * ab, t_a = r2 + 2 * a2, t_b = r2 + 2 * b2;
+        const double xd = a * factor + p1 * two_ab + p2 * t_a;
+        const double yd = b * factor + p1 * t_b + p2 * two_ab;
+        const double two_slope = 2 * slope;
+        const double xa = factor + two_slope * a2 + 2 * p1 * b + 6 * p2 * a;
+        const double xb = two_slope * ab + 2 * p1 * a + 2 * p2 * b;
+        const double yb = factor + two_slope * b2 + 6 * p1 * b + 2 * p2 * a;
+        const double fx_z = fx * inverse_Z, fy_z = fy * inverse_Z, skew_z = skew * inverse_Z;
+        Projection out;
+        out.u = fx * xd + skew * yd + cx;
+        out.v = fy * yd + cy;
+        out.ux = fx_z * xa + skew_z * xb;
+        out.uy = fx_z * xb + skew_z * yb;
+        out.vx = fy_z * xb;
+        out.vy = fy_z * yb;
+        out.uz = -(a * out.ux + b * out.uy);
+        out.vz = -(a * out.vx + b * out.vy);
+        if constexpr (Full) {
+            c[0][j] = xd, c[0][run + j] = 0;
+            c[1][j] = 0, c[1][run + j] = yd;
+            c[2][j] = 1, c[2][run + j] = 0;
+            c[3][j] = 0, c[3][run + j] = 1;
+            c[4][j] = yd, c[4][run + j] = 0;
+            const double r = D == 8 ? r2 * inverse_denominator : r2;
+            const double u1 = (fx * a + skew * b) * r, v1 = fy * b * r;
+            const double u2 = u1 * r2, v2 = v1 * r2;
+            c[5][j] = u1, c[5][run + j] = v1;
+            c[6][j] = u2, c[6][run + j] = v2;
+            c[7][j] = fx * two_ab + skew * t_b, c[7][run + j] = fy * t_b;
+            c[8][j] = fx * t_a + skew * two_ab, c[8][run + j] = fy * two_ab;
+            if constexpr (D > 4) {
+                const double u3 = u2 * r2, v3 = v2 * r2;
+                c[9][j] = u3, c[9][run + j] = v3;
+                if constexpr (D > 5) {
+                    c[10][j] = -factor * u1, c[10][run + j] = -factor * v1;
+                    c[11][j] = -factor * u2, c[11][run + j] = -factor * v2;
+                    c[12][j] = -factor * u3, c[12][run + j] = -factor * v3;
+                }
+            }
+        }
+        return out;
+    }
+
+    BINOCAL_INLINE void project(double X, double Y, double Z, double& u, double& v) const {
+        const double inverse_Z = 1.0 / Z;
+        const double a = X * inverse_Z, b = Y * inverse_Z;
+        const double r2 = a * a + b * b;
+        double factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        if constexpr (D == 8) factor /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6));
+        const double xd = a * factor + 2 * p1 * a * b + p2 * (r2 + 2 * a * a);
+        const double yd = b * factor + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b;
+        u = fx * xd + skew * yd + cx;
+        v = fy * yd + cy;
+    }
+};
+
+struct Fisheye {
+    static constexpr int n_parameters = 9;
+    double fx, fy, cx, cy, skew, k1, k2, k3, k4;
+    explicit Fisheye(const double* a)
+        : fx(a[0]), fy(a[1]), cx(a[2]), cy(a[3]), skew(a[4]), k1(a[5]), k2(a[6]), k3(a[7]), k4(a[8]) {}
+
+    template <bool Full>
+    BINOCAL_INLINE Projection at(double X, double Y, double Z, double* const* c, std::size_t j, std::size_t run) const {
+        const double r = std::sqrt(X * X + Y * Y);
+        const bool is_axis = r < 1e-15;  // on the axis itself the direction is x
+        const double inverse_r = is_axis ? 1.0 : 1.0 / r;
+        const double m = is_axis ? 1.0 : X * inverse_r, n = is_axis ? 0.0 : Y * inverse_r;
+        const double theta = std::atan2(r, Z), theta2 = theta * theta;
+        const double theta_d = theta * (1 + theta2 * (k1 + theta2 * (k2 + theta2 * (k3 + theta2 * k4))));
+        const double slope = 1 + theta2 * (3 * k1 + theta2 * (5 * k2 + theta2 * (7 * k3 + 9 * theta2 * k4)));
+        const double xd = m * theta_d, yd = n * theta_d;
+        const double inverse_rho2 = 1.0 / (r * r + Z * Z);
+        const double along = slope * Z * inverse_rho2;
+        const double across = is_axis ? along : theta_d * inverse_r;
+        const double depth = -slope * r * inverse_rho2;
+        const double xx = m * m * along + n * n * across, xy = m * n * (along - across);
+        const double yy = n * n * along + m * m * across, xz = m * depth, yz = n * depth;
+        if constexpr (Full) {
+            c[0][j] = xd, c[0][run + j] = 0;
+            c[1][j] = 0, c[1][run + j] = yd;
+            c[2][j] = 1, c[2][run + j] = 0;
+            c[3][j] = 0, c[3][run + j] = 1;
+            c[4][j] = yd, c[4][run + j] = 0;
+            const double u = fx * m + skew * n, v = fy * n;
+            double power = theta * theta2;
+            for (int k = 0; k < 4; ++k) {
+                c[5 + k][j] = u * power, c[5 + k][run + j] = v * power;
+                power *= theta2;
+            }
+        }
+        return {fx * xd + skew * yd + cx, fy * yd + cy,
+                fx * xx + skew * xy, fx * xy + skew * yy, fx * xz + skew * yz,
+                fy * xy, fy * yy, fy * yz};
+    }
+
+    BINOCAL_INLINE void project(double X, double Y, double Z, double& u, double& v) const {
+        const double r = std::sqrt(X * X + Y * Y);
+        const bool is_axis = r < 1e-15;
+        const double theta = std::atan2(r, Z), theta2 = theta * theta;
+        const double theta_d = theta * (1 + theta2 * (k1 + theta2 * (k2 + theta2 * (k3 + theta2 * k4))));
+        const double xd = is_axis ? theta_d : X / r * theta_d, yd = is_axis ? 0.0 : Y / r * theta_d;
+        u = fx * xd + skew * yd + cx;
+        v = fy * yd + cy;
+    }
+};
+
+// Columns, squared lengths and depths of one view.
+template <class Model, bool Full>
+BINOCAL_INLINE void fill(const Task& task, const Scratch& s, std::size_t view, double* const* column) {
+    const std::size_t n = task.n, run = s.run;
+    const Model model(task.parameters + view / task.views_per_rig * task.p);
+    const double* R = task.R + 9 * view;
+    const double* t = task.t + 3 * view;
+    const double R00 = R[0], R01 = R[1], R02 = R[2], R10 = R[3], R11 = R[4], R12 = R[5], R20 = R[6], R21 = R[7],
+                 R22 = R[8], t0 = t[0], t1 = t[1], t2 = t[2];
+    const double *x = task.points, *y = x + n, *z = y + n;
+    const double *pixel_u = task.pixels + 2 * n * view, *pixel_v = pixel_u + n;
+    constexpr int p = Model::n_parameters;
+    double *depth = s.Z, *length2 = s.length2;
+    double* c[p + 7];
+    std::copy(column, column + p + 7, c);
+    BINOCAL_INDEPENDENT
+    for (std::size_t j = 0; j < n; ++j) {
+        const double X = R00 * x[j] + R01 * y[j] + R02 * z[j] + t0;
+        const double Y = R10 * x[j] + R11 * y[j] + R12 * z[j] + t1;
+        const double Z = R20 * x[j] + R21 * y[j] + R22 * z[j] + t2;
+        const Projection g = model.template at<Full>(X, Y, Z, c, j, run);
+        c[p][j] = Y * g.uz - Z * g.uy, c[p][run + j] = Y * g.vz - Z * g.vy;
+        c[p + 1][j] = Z * g.ux - X * g.uz, c[p + 1][run + j] = Z * g.vx - X * g.vz;
+        c[p + 2][j] = X * g.uy - Y * g.ux, c[p + 2][run + j] = X * g.vy - Y * g.vx;
+        c[p + 3][j] = g.ux, c[p + 3][run + j] = g.vx;
+        c[p + 4][j] = g.uy, c[p + 4][run + j] = g.vy;
+        c[p + 5][j] = g.uz, c[p + 5][run + j] = g.vz;
+        const double e_u = pixel_u[j] - g.u, e_v = pixel_v[j] - g.v;
+        c[p + 6][j] = e_u, c[p + 6][run + j] = e_v;
+        depth[j] = Z;
+        length2[j] = e_u * e_u + e_v * e_v;
+    }
+}
+
+// Robust cost of squared lengths (binocal.solvers.robust states the formulas).
+BINOCAL_INLINE double robust_cost(Kernel kernel, const double* length2, std::size_t n, double scale) {
+    const double s2 = scale * scale;
+    if (kernel == Kernel::cauchy) {
+        double cost = 0;
+        for (std::size_t j = 0; j < n; ++j) cost += std::log1p(length2[j] / s2);
+        return 0.5 * s2 * cost;
+    }
+    constexpr std::size_t kParts = 8;  // several sums, so that they need not wait for one another
+    double parts[kParts] = {};
+    std::size_t j = 0;
+    for (; j + kParts <= n; j += kParts) {
+        for (std::size_t k = 0; k < kParts; ++k) parts[k] += length2[j + k];
+    }
+    for (; j < n; ++j) parts[0] += length2[j];
+    double cost = 0;
+    for (double part : parts) cost += 0.5 * part;
+    if (kernel == Kernel::squared) return cost;
+    // Few corners lie beyond the flat part of Hampel's kernel: those are gone through one by one.
+    constexpr double a = kHampelFlat, b = kHampelDrop, c = kHampelEnd;
+    const double flat2 = a * a * s2;
+    double flat_cost = 0, bent_cost = 0;
+    std::size_t n_beyond = 0;
+    for (std::size_t i = 0; i < n; ++i) n_beyond += length2[i] > flat2;
+    if (n_beyond == 0) return cost;
+    for (std::size_t i = 0; i < n; ++i) {
+        if (!(length2[i] > flat2)) {
+            flat_cost += 0.5 * length2[i];
+            continue;
+        }
+        const double q = std::sqrt(length2[i] / s2);
+        const double fall = std::clamp((c - q) / (c - b), 0.0, 1.0);
+        bent_cost += a * std::min(q, b) - 0.5 * a * a + (q > b ? 0.5 * a * (c - b) * (1 - fall * fall) : 0.0);
+    }
+    return flat_cost + s2 * bent_cost;
+}
+
+// Square roots of the corners' weights go to s.weight, 0 where not seen; false where all are 1 and none was written.
+BINOCAL_INLINE bool weigh(const Task& task, const Scratch& s, std::size_t view) {
+    const std::size_t n = task.n;
+    const bool* seen = task.is_seen + n * view;
+    const double* length2 = s.length2;
+    double* weight = s.weight;
+    const double scale = task.scale[view / task.views_per_rig], s2 = scale * scale;
+    const double flat2 = task.kernel == Kernel::hampel ? kHampelFlat * kHampelFlat * s2 : 0.0;
+    std::size_t n_beyond = 0, n_seen = 0;
+    for (std::size_t j = 0; j < n; ++j) n_beyond += length2[j] > flat2;
+    for (std::size_t j = 0; j < n; ++j) n_seen += seen[j];
+    if (task.kernel == Kernel::cauchy) {
+        for (std::size_t j = 0; j < n; ++j) weight[j] = std::sqrt(1 / (1 + length2[j] / s2));
+    } else {
+        if (n_seen == n && (task.kernel == Kernel::squared || n_beyond == 0)) return false;
+        std::fill(weight, weight + n, 1.0);
+    }
+    if (task.kernel == Kernel::hampel && n_beyond > 0) {
+        for (std::size_t j = 0; j < n; ++j) {
+            if (!(length2[j] > flat2)) continue;
+            const double q = std::sqrt(length2[j] / s2);
+            const double fall = std::clamp((kHampelEnd - q) / (kHampelEnd - kHampelDrop), 0.0, 1.0);
+            weight[j] = std::sqrt(kHampelFlat * fall / q);
+        }
+    }
+    for (std::size_t j = 0; j < n; ++j) weight[j] = seen[j] ? weight[j] : 0.0;
+    return true;
+}
+
+template <class Model, bool Full, int lanes>
+BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
+    constexpr int p = Model::n_parameters, q = p + 7;
+    Scratch s(task.n);
+    double* column[q];
+    int place[q];  // of an outer column among the ones that are kept, or -1
+    int m = 0;
+    for (int i = 0; i < q; ++i) {
+        const bool is_kept = i >= p || task.is_free[i];
+        column[i] = is_kept ? s.J + m * s.stride : s.trash;
+        place[i] = is_kept ? m++ : -1;
+    }
+    const int padded = (m + 3) / 4 * 4;
+    double block[kMaxColumns * kMaxColumns];
+    for (std::size_t view = first; view < last; ++view) {
+        fill<Model, Full>(task, s, view, column);
+        const std::size_t n = task.n;
+        const bool* seen = task.is_seen + n * view;
+        bool is_impossible = false;
+        if (!task.sees_behind) {
+            int n_behind = 0;
+            for (std::size_t j = 0; j < n; ++j) n_behind += seen[j] & (s.Z[j] <= 0);
+            is_impossible = n_behind > 0;
+        }
+        for (std::size_t j = 0; j < n; ++j) s.length2[j] = seen[j] ? s.length2[j] : 0.0;
+        const double cost = robust_cost(task.kernel, s.length2, n, task.scale[view / task.views_per_rig]);
+        if (weigh(task, s, view)) {
+            for (int i = 0; i < m; ++i) {
+                double* c = s.J + i * s.stride;
+                for (int half = 0; half < 2; ++half, c += s.run) {
+                    for (std::size_t j = 0; j < n; ++j) c[j] = s.weight[j] != 0 ? c[j] * s.weight[j] : 0.0;
+                }
+            }
+        }
+        std::memcpy(task.r2 + n * view, s.length2, n * sizeof(double));
+        task.cost[view] = is_impossible || !std::isfinite(cost) ? std::numeric_limits<double>::infinity() : cost;
+        gram_matrix<lanes>(s.J, s.stride, padded, block);
+        double* gram = task.gram + static_cast<std::size_t>(q) * q * view;
+        for (int i = 0; i < q; ++i) {
+            for (int k = i; k < q; ++k) {
+                const double value = place[i] < 0 || place[k] < 0 ? 0.0 : block[place[i] * padded + place[k]];
+                gram[i * q + k] = gram[k * q + i] = value;
+            }
+        }
+    }
+}
+
+template <class Model, int lanes>
+BINOCAL_INLINE void fill_columns(const Task& task, std::size_t first, std::size_t last) {
+    constexpr int p = Model::n_parameters, q = p + 7;
+    const std::size_t n = task.n;
+    Scratch s(n);
+    double* column[q];
+    for (int i = 0; i < q; ++i) column[i] = s.J + i * s.stride;
+    for (std::size_t view = first; view < last; ++view) {
+        fill<Model, true>(task, s, view, column);
+        const bool* seen = task.is_seen + n * view;
+        for (int row = 0; row < 2 * q; ++row) {
+            const double* from = s.J + row * s.run;
+            double* to = task.columns + (2 * q * view + row) * n;
+            for (std::size_t j = 0; j < n; ++j) to[j] = seen[j] ? from[j] : 0.0;
+        }
+    }
+}
+
+template <class Model, int lanes>
+BINOCAL_INLINE void measure(const Task& task, std::size_t first, std::size_t last) {
+    const std::size_t n = task.n;
+    const double *x = task.points, *y = x + n, *z = y + n;
+    for (std::size_t view = first; view < last; ++view) {
+        const Model model(task.parameters + view / task.views_per_rig * task.p);
+        const double *R = task.R + 9 * view, *t = task.t + 3 * view, *pixel = task.pixels + 2 * n * view;
+        const bool* seen = task.is_seen + n * view;
+        double* out = task.r2 + n * view;
+        BINOCAL_INDEPENDENT
+        for (std::size_t j = 0; j < n; ++j) {
+            double u, v;
+            model.project(R[0] * x[j] + R[1] * y[j] + R[2] * z[j] + t[0], R[3] * x[j] + R[4] * y[j] + R[5] * z[j] + t[1],
+                          R[6] * x[j] + R[7] * y[j] + R[8] * z[j] + t[2], u, v);
+            const double e_u = pixel[j] - u, e_v = pixel[n + j] - v;
+            out[j] = e_u * e_u + e_v * e_v;
+        }
+        for (std::size_t j = 0; j < n; ++j) {
+            out[j] = !seen[j] ? 0.0 : std::isfinite(out[j]) ? out[j] : std::numeric_limits<double>::infinity();
+        }
+    }
+}
+
+#define BINOCAL_COPIES(name, Model)                                                     \
+    BINOCAL_DISPATCH(views_##name, Task, (run_views<Model, true, lanes>(task, first, last)))  \
+    BINOCAL_DISPATCH(held_##name, Task, (run_views<Model, false, lanes>(task, first, last)))  \
+    BINOCAL_DISPATCH(columns_##name, Task, (fill_columns<Model, lanes>(task, first, last)))   \
+    BINOCAL_DISPATCH(measure_##name, Task, (measure<Model, lanes>(task, first, last)))
+BINOCAL_COPIES(brown4, Brown<4>)
+BINOCAL_COPIES(brown5, Brown<5>)
+BINOCAL_COPIES(brown8, Brown<8>)
+BINOCAL_COPIES(fisheye4, Fisheye)
+
+using Work = void (*)(const Task&, std::size_t, std::size_t);
+struct Copies {
+    std::string_view name;
+    int n_parameters;
+    bool sees_behind;
+    Work views, held, columns, measure;
+};
+#define BINOCAL_ENTRY(name, p, behind) {#name, p, behind, views_##name, held_##name, columns_##name, measure_##name}
+constexpr Copies kModels[] = {BINOCAL_ENTRY(brown4, 9, false), BINOCAL_ENTRY(brown5, 10, false),
+                              BINOCAL_ENTRY(brown8, 13, false), BINOCAL_ENTRY(fisheye4, 9, true)};
+
+const Copies& copies_of(const std::string& name) {
+    for (const Copies& model : kModels) {
+        if (model.name == name) return model;
+    }
+    throw std::invalid_argument("no compiled camera model " + name);
+}
+
+Kernel kernel_of(const std::string& name) {
+    if (name == "squared") return Kernel::squared;
+    if (name == "cauchy") return Kernel::cauchy;
+    if (name == "hampel") return Kernel::hampel;
+    throw std::invalid_argument("no robust kernel " + name);
+}
+
+void require(bool holds, const char* what) {
+    if (!holds) throw std::invalid_argument(what);
+}
+
+// Shapes: parameters (rigs, p), R (views, 3, 3), t (views, 3), points (3, n), pixels (views, 2, n), is_seen (views, n),
+// where views counts those of all rigs.
+Task make_task(const Copies& model, const Doubles& parameters, const Doubles& R, const Doubles& t, const Doubles& points,
+               const Doubles& pixels, const Flags& is_seen) {
+    require(is_seen.ndim() == 2 && parameters.ndim() == 2 && points.ndim() == 2, "wrong number of dimensions");
+    const std::size_t views = is_seen.shape(0), n = is_seen.shape(1), rigs = parameters.shape(0);
+    require(parameters.shape(1) == static_cast<std::size_t>(model.n_parameters), "wrong number of parameters");
+    require(R.size() == 9 * views && t.size() == 3 * views, "R or t does not match the views");
+    require(points.shape(0) == 3 && points.shape(1) == n, "object points must be (3, n)");
+    require(pixels.size() == 2 * views * n, "pixels must be (views, 2, n)");
+    require(rigs > 0 && views % rigs == 0, "the views do not divide among the rigs");
+    Task task{};
+    task.n_views = views, task.views_per_rig = std::max<std::size_t>(views / rigs, 1), task.n = n;
+    task.p = model.n_parameters, task.sees_behind = model.sees_behind;
+    task.parameters = parameters.data(), task.R = R.data(), task.t = t.data(), task.points = points.data();
+    task.pixels = pixels.data(), task.is_seen = is_seen.data();
+    return task;
+}
+
+void accumulate(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
+                const Doubles& points, const Doubles& pixels, const Flags& is_seen, const Flags& is_free,
+                const Doubles& scale, const std::string& kernel, DoublesOut gram, DoublesOut r2, DoublesOut cost,
+                std::size_t n_threads) {
+    const Copies& model = copies_of(name);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    const std::size_t q = model.n_parameters + 7;
+    require(is_free.size() == q - 7, "is_free must have one flag for each parameter");
+    require(scale.size() == parameters.shape(0), "one scale for each rig");
+    require(gram.size() == q * q * task.n_views && r2.size() == task.n * task.n_views && cost.size() == task.n_views,
+            "an output has the wrong size");
+    task.is_free = is_free.data(), task.scale = scale.data(), task.kernel = kernel_of(kernel);
+    task.gram = gram.data(), task.r2 = r2.data(), task.cost = cost.data();
+    task.any_free = std::any_of(is_free.data(), is_free.data() + is_free.size(), [](bool free) { return free; });
+    const Work work = task.any_free ? model.views : model.held;
+    nb::gil_scoped_release unlocked;
+    in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { work(task, first, last); });
+}
+
+// Robust cost of stored squared lengths, (rigs, m), each rig under its own scale.
+void costs(const Doubles& r2, const Doubles& scale, const std::string& kernel, DoublesOut cost) {
+    require(r2.ndim() == 2 && scale.size() == r2.shape(0) && cost.size() == r2.shape(0), "one scale and cost for each rig");
+    const std::size_t m = r2.shape(1);
+    const Kernel which = kernel_of(kernel);
+    nb::gil_scoped_release unlocked;
+    for (std::size_t rig = 0; rig < r2.shape(0); ++rig) {
+        cost.data()[rig] = robust_cost(which, r2.data() + rig * m, m, scale.data()[rig]);
+    }
+}
+
+// Median of non-negative numbers, which order like their bits: the bin of the leading ones that holds the middle is found
+// first, and only its few numbers are sorted out. NaN counts as largest.
+double median(const double* values, std::size_t n) {
+    constexpr int kShift = 50;  // 11 bits of exponent and 2 of mantissa are left
+    std::vector<std::uint32_t> count(std::size_t{1} << (64 - kShift), 0);
+    auto bin_of = [](double value) { return std::bit_cast<std::uint64_t>(value) >> kShift; };
+    for (std::size_t i = 0; i < n; ++i) ++count[bin_of(values[i])];
+    std::vector<double> bin;
+    auto nth = [&](std::size_t k) {
+        std::size_t chosen = 0, below = 0;
+        while (below + count[chosen] <= k) below += count[chosen++];
+        bin.clear();
+        for (std::size_t i = 0; i < n; ++i) {
+            if (bin_of(values[i]) == chosen) bin.push_back(values[i]);
+        }
+        auto less = [](double a, double b) { return std::bit_cast<std::uint64_t>(a) < std::bit_cast<std::uint64_t>(b); };
+        std::nth_element(bin.begin(), bin.begin() + (k - below), bin.end(), less);
+        return bin[k - below];
+    };
+    const double low = nth((n - 1) / 2);
+    if (n % 2 == 1) return low;
+    // The next larger one is in the same bin, unless low was its last.
+    std::size_t n_not_above = 0;
+    double high = std::numeric_limits<double>::quiet_NaN();
+    for (std::size_t i = 0; i < n; ++i) {
+        if (values[i] <= low) {
+            ++n_not_above;
+        } else if (!(values[i] >= high)) {
+            high = values[i];
+        }
+    }
+    return 0.5 * (low + (n_not_above > n / 2 ? low : high));
+}
+
+// Median of each rig's seen squared lengths over all cameras; 0 where nothing is seen.
+void medians(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, DoublesOut out) {
+    require(!r2.empty() && r2.size() == is_seen.size(), "as many flags as lengths");
+    const std::size_t n_rigs = out.size();
+    for (std::size_t camera = 0; camera < r2.size(); ++camera) {
+        require(n_rigs > 0 && r2[camera].size() == is_seen[camera].size() && r2[camera].size() % n_rigs == 0,
+                "the lengths do not divide among the rigs");
+    }
+    nb::gil_scoped_release unlocked;
+    std::vector<double> values;
+    for (std::size_t rig = 0; rig < n_rigs; ++rig) {
+        values.clear();
+        for (std::size_t camera = 0; camera < r2.size(); ++camera) {
+            const std::size_t m = r2[camera].size() / n_rigs, start = values.size();
+            const double* lengths2 = r2[camera].data() + rig * m;
+            const bool* seen = is_seen[camera].data() + rig * m;
+            values.resize(start + m);
+            std::size_t kept = start;
+            for (std::size_t j = 0; j < m; ++j) {
+                values[kept] = lengths2[j];
+                kept += seen[j];
+            }
+            values.resize(kept);
+        }
+        out.data()[rig] = values.empty() ? 0.0 : median(values.data(), values.size());
+    }
+}
+
+void squared_lengths(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
+                     const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut r2,
+                     std::size_t n_threads) {
+    const Copies& model = copies_of(name);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    require(r2.size() == task.n * task.n_views, "the output has the wrong size");
+    task.r2 = r2.data();
+    nb::gil_scoped_release unlocked;
+    in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { model.measure(task, first, last); });
+}
+
+void unweighted_columns(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
+                        const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut columns) {
+    const Copies& model = copies_of(name);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    require(columns.size() == 2 * (model.n_parameters + 7) * task.n * task.n_views, "the output has the wrong size");
+    task.columns = columns.data();
+    nb::gil_scoped_release unlocked;
+    model.columns(task, 0, task.n_views);
+}
+
+}  // namespace
+
+void register_accumulate(nb::module_& module) {
+    module.def("accumulate", &accumulate);
+    module.def("costs", &costs);
+    module.def("medians", &medians);
+    module.def("squared_lengths", &squared_lengths);
+    module.def("unweighted_columns", &unweighted_columns);
+}
+
+}  // namespace binocal

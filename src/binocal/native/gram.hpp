@@ -1,0 +1,130 @@
+// Gram matrices of long columns, and the compiler's words for inlining, vectorising and several copies.
+#pragma once
+
+#include <cstddef>
+
+#if defined(__GNUC__)
+#define BINOCAL_INLINE [[gnu::always_inline]] inline
+#else
+#define BINOCAL_INLINE inline
+#endif
+#if defined(__clang__)
+#define BINOCAL_INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")
+#elif defined(__GNUC__)
+#define BINOCAL_INDEPENDENT _Pragma("GCC ivdep")
+#else
+#define BINOCAL_INDEPENDENT __pragma(loop(ivdep))
+#endif
+// One build serves every x86-64 machine: hot functions are compiled three times, and the widest copy that the processor
+// runs is called (see BINOCAL_DISPATCH). Elsewhere the compiler's baseline (NEON on Arm) is all there is.
+#if defined(__GNUC__) && defined(__x86_64__)
+#define BINOCAL_X86 1
+#define BINOCAL_V3 __attribute__((target("arch=x86-64-v3")))
+#define BINOCAL_V4 __attribute__((target("arch=x86-64-v4")))
+#else
+#define BINOCAL_X86 0
+#endif
+
+namespace binocal {
+
+constexpr int kRun = 8;  // the longest vector, in doubles: columns are padded to whole ones
+
+#if BINOCAL_X86
+inline bool has_avx512() {
+    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd") &&
+           __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+}
+inline bool has_avx2() {
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
+           __builtin_cpu_supports("bmi2");
+}
+#endif
+
+// Defines void name(const Task&, first, last), which calls the widest copy of body<lanes>(task, first, last).
+#if BINOCAL_X86
+#define BINOCAL_DISPATCH(name, Task, ...)                                                                             \
+    BINOCAL_V4 void name##_v4(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 8; __VA_ARGS__; } \
+    BINOCAL_V3 void name##_v3(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; } \
+    void name##_v2(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; }    \
+    void name(const Task& task, std::size_t first, std::size_t last) {                                                \
+        static const auto widest = has_avx512() ? name##_v4 : has_avx2() ? name##_v3 : name##_v2;                     \
+        widest(task, first, last);                                                                                    \
+    }
+#else
+#define BINOCAL_DISPATCH(name, Task, ...)                                                                             \
+    void name(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; }
+#endif
+
+#if defined(__GNUC__)
+template <int lanes>
+struct VectorOf;
+template <>
+struct VectorOf<4> {
+    typedef double type __attribute__((vector_size(32), aligned(8)));
+};
+template <>
+struct VectorOf<8> {
+    typedef double type __attribute__((vector_size(64), aligned(8)));
+};
+#endif
+
+// Upper triangle of J Jᵀ in 4 x 4 blocks, row-major in out (m, m). J has m rows of length stride, m a multiple of 4 and stride
+// of kRun.
+template <int lanes>
+BINOCAL_INLINE void gram_matrix(const double* J, std::size_t stride, int m, double* out) {
+#if defined(__GNUC__)
+    using Vector = typename VectorOf<lanes>::type;
+    auto load = [](const double* from) __attribute__((always_inline)) { return *reinterpret_cast<const Vector*>(from); };
+    auto sum = [](Vector v) __attribute__((always_inline)) {
+        double total = (v[0] + v[1]) + (v[2] + v[3]);
+        if constexpr (lanes == 8) total += (v[4] + v[5]) + (v[6] + v[7]);
+        return total;
+    };
+#endif
+    for (int row = 0; row < m; row += 4) {
+        for (int column = row; column < m; column += 4) {
+            const double *a = J + row * stride, *b = J + column * stride;
+#if defined(__GNUC__)
+            Vector s00{}, s01{}, s02{}, s03{}, s10{}, s11{}, s12{}, s13{}, s20{}, s21{}, s22{}, s23{}, s30{}, s31{},
+                s32{}, s33{};
+            for (std::size_t j = 0; j < stride; j += lanes) {
+                const Vector b0 = load(b + j), b1 = load(b + stride + j), b2 = load(b + 2 * stride + j),
+                             b3 = load(b + 3 * stride + j);
+                const Vector a0 = load(a + j);
+                s00 += a0 * b0, s01 += a0 * b1, s02 += a0 * b2, s03 += a0 * b3;
+                const Vector a1 = load(a + stride + j);
+                s10 += a1 * b0, s11 += a1 * b1, s12 += a1 * b2, s13 += a1 * b3;
+                const Vector a2 = load(a + 2 * stride + j);
+                s20 += a2 * b0, s21 += a2 * b1, s22 += a2 * b2, s23 += a2 * b3;
+                const Vector a3 = load(a + 3 * stride + j);
+                s30 += a3 * b0, s31 += a3 * b1, s32 += a3 * b2, s33 += a3 * b3;
+            }
+            double* o = out + row * m + column;
+            o[0] = sum(s00), o[1] = sum(s01), o[2] = sum(s02), o[3] = sum(s03);
+            o += m;
+            o[0] = sum(s10), o[1] = sum(s11), o[2] = sum(s12), o[3] = sum(s13);
+            o += m;
+            o[0] = sum(s20), o[1] = sum(s21), o[2] = sum(s22), o[3] = sum(s23);
+            o += m;
+            o[0] = sum(s30), o[1] = sum(s31), o[2] = sum(s32), o[3] = sum(s33);
+#else
+            double sums[4][4][lanes] = {};
+            for (std::size_t j = 0; j < stride; j += lanes) {
+                for (int i = 0; i < 4; ++i) {
+                    for (int k = 0; k < 4; ++k) {
+                        for (int l = 0; l < lanes; ++l) sums[i][k][l] += a[i * stride + j + l] * b[k * stride + j + l];
+                    }
+                }
+            }
+            for (int i = 0; i < 4; ++i) {
+                for (int k = 0; k < 4; ++k) {
+                    const double* s = sums[i][k];
+                    out[(row + i) * m + column + k] = (s[0] + s[1]) + (s[2] + s[3]);
+                }
+            }
+#endif
+        }
+    }
+}
+
+}  // namespace binocal

@@ -1,0 +1,9 @@
+// The extension module: every source file of this folder registers its own functions here.
+#include "kernel.hpp"
+
+NB_MODULE(_kernel, module) {
+    module.doc() = "The compiled kernels of binocal. Use them through binocal.native.";
+    binocal::register_accumulate(module);
+    binocal::register_poses(module);
+    binocal::register_step(module);
+}

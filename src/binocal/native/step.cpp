@@ -1,0 +1,316 @@
+// The step of the joint solver: normal equations of a rig from those of its views, board poses eliminated
+// (binocal.native says what the arrays mean). Rigs are independent; each is summed in one fixed order.
+
+#include "gram.hpp"
+#include "kernel.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+namespace binocal {
+namespace {
+
+constexpr double kTiny = 1e-300;
+constexpr int kMaxGram = 20 * 20;  // brown8: 13 parameters, 6 pose columns, the residual
+constexpr int kMaxShared = 32;  // two brown8 cameras with skew, and the rig
+
+struct CameraPart {
+    const double* gram;       // (rigs, views, q, q)
+    int p;                    // parameters of the model, before the six pose columns
+    std::vector<int> keep;    // columns of the Gram matrix that are shared unknowns
+    std::vector<int> place;   // and where they stand among those
+};
+
+struct Problem {
+    std::vector<CameraPart> cameras;
+    std::size_t n_rigs, n_views;
+    int s;                                // shared unknowns
+    const double *R, *t;                  // T_right_left of each rig, null with one camera
+    const double *prior_weight, *prior_gradient;  // (rigs, s), added to the diagonal and the gradient
+    const double* growth;                 // (rigs), what the diagonals are multiplied by
+    double *shared, *views, *predicted;   // (rigs, s), (rigs, views, 6), (rigs); null if only reduced is wanted
+    double* reduced;                      // (rigs, s, s), or null
+};
+
+// In place: rows (a, b) of x become Adᵀ x with Ad = [[R, 0], [hat(t) R, R]].
+BINOCAL_INLINE void adjoint_transposed(const double* R, const double* t, double* x) {
+    const double a0 = x[0] - (t[1] * x[5] - t[2] * x[4]), a1 = x[1] - (t[2] * x[3] - t[0] * x[5]),
+                 a2 = x[2] - (t[0] * x[4] - t[1] * x[3]), b0 = x[3], b1 = x[4], b2 = x[5];
+    for (int i = 0; i < 3; ++i) {
+        x[i] = R[i] * a0 + R[3 + i] * a1 + R[6 + i] * a2;
+        x[3 + i] = R[i] * b0 + R[3 + i] * b1 + R[6 + i] * b2;
+    }
+}
+
+// x = A⁻¹ b by elimination with partial pivoting; false where A is singular. A and x (b at first) are overwritten.
+BINOCAL_INLINE bool solve(double* A, double* x, int n) {
+    for (int column = 0; column < n; ++column) {
+        int pivot = column;
+        for (int row = column + 1; row < n; ++row) {
+            if (std::abs(A[row * n + column]) > std::abs(A[pivot * n + column])) pivot = row;
+        }
+        if (!(std::abs(A[pivot * n + column]) > 0)) return false;
+        if (pivot != column) {
+            for (int k = column; k < n; ++k) std::swap(A[pivot * n + k], A[column * n + k]);
+            std::swap(x[pivot], x[column]);
+        }
+        const double inverse = 1 / A[column * n + column];
+        for (int row = column + 1; row < n; ++row) {
+            const double factor = A[row * n + column] * inverse;
+            if (factor == 0) continue;
+            for (int k = column + 1; k < n; ++k) A[row * n + k] -= factor * A[column * n + k];
+            x[row] -= factor * x[column];
+        }
+    }
+    for (int row = n - 1; row >= 0; --row) {
+        for (int k = row + 1; k < n; ++k) x[row] -= A[row * n + k] * x[k];
+        x[row] /= A[row * n + row];
+    }
+    return true;
+}
+
+// Lower Cholesky factor in place, rows of 6; false where a pivot is not positive.
+BINOCAL_INLINE bool cholesky6(double* A) {
+    for (int i = 0; i < 6; ++i) {
+        for (int j = 0; j <= i; ++j) {
+            double sum = A[6 * i + j];
+            for (int k = 0; k < j; ++k) sum -= A[6 * i + k] * A[6 * j + k];
+            if (i == j) {
+                if (!(sum > 0)) return false;
+                A[6 * i + i] = std::sqrt(sum);
+            } else {
+                A[6 * i + j] = sum / A[6 * j + j];
+            }
+        }
+    }
+    return true;
+}
+
+struct Workspace {
+    std::size_t stride;
+    int m;  // columns of Y with padding
+    std::vector<double> Y, L, scale, H, g, block, gradients, diagonals, totals;
+    Workspace(const Problem& problem)
+        : stride((6 * problem.n_views + kRun - 1) / kRun * kRun), m((problem.s + 1 + 3) / 4 * 4),
+          Y(m * stride, 0.0), L(36 * problem.n_views), scale(6 * problem.n_views), H(problem.s * problem.s),
+          g(problem.s), block(m * m), gradients(6 * problem.n_views), diagonals(6 * problem.n_views), totals(2 * kMaxGram) {}
+};
+
+template <int lanes>
+BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspace& w) {
+    const int s = problem.s;
+    const std::size_t n_views = problem.n_views;
+    const double growth = problem.growth[rig];
+    const double *R = problem.R ? problem.R + 9 * rig : nullptr, *t = problem.t ? problem.t + 3 * rig : nullptr;
+    double *H = w.H.data(), *g = w.g.data(), *Y = w.Y.data();
+    std::fill(w.H.begin(), w.H.end(), 0.0);
+    std::fill(w.g.begin(), w.g.end(), 0.0);
+    std::fill(w.totals.begin(), w.totals.end(), 0.0);
+    double columns[kMaxShared * 6 + 6];
+    for (std::size_t view = 0; view < n_views; ++view) {
+        double* A = w.L.data() + 36 * view;
+        double* W = columns;  // coupling, column after column, then the gradient of the view
+        std::fill(A, A + 36, 0.0);
+        std::fill(W, W + 6 * (s + 1), 0.0);
+        for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
+            const CameraPart& camera = problem.cameras[index];
+            const int p = camera.p, q = p + 7, n_keep = static_cast<int>(camera.keep.size());
+            const double* G = camera.gram + (rig * n_views + view) * q * q;
+            for (int i = 0; i < n_keep; ++i) {
+                const double* row = G + camera.keep[i] * q;
+                double x[6];
+                for (int k = 0; k < 6; ++k) x[k] = row[p + k];
+                if (index == 1) adjoint_transposed(R, t, x);
+                double* to = W + 6 * camera.place[i];
+                for (int k = 0; k < 6; ++k) to[k] += x[k];
+            }
+            double* total = w.totals.data() + index * kMaxGram;
+            for (int i = 0; i < q * q; ++i) total[i] += G[i];
+            double pose[7][6];  // the pose columns and the gradient, at first G's own
+            for (int i = 0; i < 7; ++i) {
+                const double* row = G + (p + i) * q + p;
+                for (int k = 0; k < 6; ++k) pose[i][k] = row[k];
+            }
+            if (index == 1) {
+                for (auto& column : pose) adjoint_transposed(R, t, column);  // Adᵀ G, by columns
+                for (int k = 0; k < 6; ++k) {                                // (Adᵀ G) Ad = (Adᵀ (Adᵀ G)ᵀ)ᵀ
+                    double x[6];
+                    for (int i = 0; i < 6; ++i) x[i] = pose[i][k];
+                    adjoint_transposed(R, t, x);
+                    for (int i = 0; i < 6; ++i) pose[i][k] = x[i];
+                }
+            }
+            for (int i = 0; i < 6; ++i) {
+                for (int k = 0; k < 6; ++k) A[6 * i + k] += pose[i][k];
+                W[6 * s + i] += pose[6][i];
+            }
+        }
+        double trace = 0;
+        double *scale = w.scale.data() + 6 * view, *diagonal = w.diagonals.data() + 6 * view;
+        for (int i = 0; i < 6; ++i) trace += diagonal[i] = A[7 * i];
+        std::copy(W + 6 * s, W + 6 * s + 6, w.gradients.data() + 6 * view);
+        if (!(trace > 0)) {  // no corner at all: the view neither steps nor counts
+            std::fill(A, A + 36, 0.0);
+            for (int i = 0; i < 6; ++i) A[7 * i] = 1;
+        }
+        for (int i = 0; i < 6; ++i) A[7 * i] *= growth;
+        for (int i = 0; i < 6; ++i) scale[i] = 1 / std::sqrt(std::max(A[7 * i], kTiny));
+        for (int i = 0; i < 6; ++i) {
+            for (int k = 0; k < 6; ++k) A[6 * i + k] *= scale[i] * scale[k];
+        }
+        if (!cholesky6(A)) return false;
+        double inverse_pivot[6];
+        for (int i = 0; i < 6; ++i) inverse_pivot[i] = 1 / A[7 * i];
+        for (int column = 0; column <= s; ++column) {  // Y = L⁻¹ S [W, gradient]
+            const double* from = W + 6 * column;
+            double* y = Y + column * w.stride + 6 * view;
+            for (int i = 0; i < 6; ++i) {
+                double sum = from[i] * scale[i];
+                for (int k = 0; k < i; ++k) sum -= A[6 * i + k] * y[k];
+                y[i] = sum * inverse_pivot[i];
+            }
+        }
+    }
+    for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
+        const CameraPart& camera = problem.cameras[index];
+        const int q = camera.p + 7, n_keep = static_cast<int>(camera.keep.size());
+        for (int i = 0; i < n_keep; ++i) {
+            const double* row = w.totals.data() + index * kMaxGram + camera.keep[i] * q;
+            for (int k = 0; k < n_keep; ++k) H[camera.place[i] * s + camera.place[k]] += row[camera.keep[k]];
+            g[camera.place[i]] += row[q - 1];
+        }
+    }
+    for (int i = 0; i < s; ++i) {
+        if (problem.prior_weight) {
+            H[i * s + i] += problem.prior_weight[rig * s + i];
+            g[i] += problem.prior_gradient[rig * s + i];
+        }
+    }
+    gram_matrix<lanes>(Y, w.stride, w.m, w.block.data());
+    std::vector<double> A(s * s), x(s), scale(s);
+    for (int i = 0; i < s; ++i) {
+        for (int k = 0; k < s; ++k) {
+            const double eliminated = i <= k ? w.block[i * w.m + k] : w.block[k * w.m + i];
+            A[i * s + k] = H[i * s + k] * (i == k ? growth : 1.0) - eliminated;
+        }
+        x[i] = g[i] - w.block[i * w.m + s];
+        scale[i] = 1 / std::sqrt(std::max(H[i * s + i] * growth, kTiny));
+    }
+    if (problem.reduced) std::copy(A.begin(), A.end(), problem.reduced + rig * s * s);
+    if (!problem.shared) return true;
+    for (int i = 0; i < s; ++i) {
+        for (int k = 0; k < s; ++k) A[i * s + k] *= scale[i] * scale[k];
+        x[i] *= scale[i];
+    }
+    if (!solve(A.data(), x.data(), s)) return false;
+    double *shared = problem.shared + rig * s, *views = problem.views + 6 * n_views * rig;
+    double linear = 0, extra = 0;
+    for (int i = 0; i < s; ++i) {
+        shared[i] = x[i] * scale[i];
+        linear += shared[i] * g[i];
+        extra += shared[i] * shared[i] * H[i * s + i];
+    }
+    for (std::size_t entry = 0; entry < 6 * n_views; ++entry) views[entry] = Y[s * w.stride + entry];
+    for (int column = 0; column < s; ++column) {
+        const double* y = Y + column * w.stride;
+        for (std::size_t entry = 0; entry < 6 * n_views; ++entry) views[entry] -= y[entry] * shared[column];
+    }
+    for (std::size_t view = 0; view < n_views; ++view) {
+        const double *L = w.L.data() + 36 * view, *view_scale = w.scale.data() + 6 * view;
+        double* xi = views + 6 * view;
+        for (int i = 5; i >= 0; --i) {
+            for (int k = i + 1; k < 6; ++k) xi[i] -= L[6 * k + i] * xi[k];
+            xi[i] /= L[7 * i];
+        }
+        for (int i = 0; i < 6; ++i) {
+            xi[i] *= view_scale[i];
+            linear += xi[i] * w.gradients[6 * view + i];
+            extra += xi[i] * xi[i] * w.diagonals[6 * view + i];
+        }
+    }
+    problem.predicted[rig] = 0.5 * (linear + (growth - 1) * extra);
+    return std::isfinite(problem.predicted[rig]);
+}
+
+template <int lanes>
+BINOCAL_INLINE void run_rigs(const Problem& problem, std::size_t first, std::size_t last) {
+    constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+    Workspace workspace(problem);
+    for (std::size_t rig = first; rig < last; ++rig) {
+        if (step_of_rig<lanes>(problem, rig, workspace)) continue;
+        const std::size_t s = problem.s, v = 6 * problem.n_views;
+        if (problem.shared) {
+            std::fill_n(problem.shared + rig * s, s, nan);
+            std::fill_n(problem.views + rig * v, v, nan);
+            problem.predicted[rig] = nan;
+        } else {
+            std::fill_n(problem.reduced + rig * s * s, s * s, nan);
+        }
+    }
+}
+
+BINOCAL_DISPATCH(steps_of_rigs, Problem, (run_rigs<lanes>(task, first, last)))
+
+void solve_steps(const std::vector<Doubles>& grams, const std::vector<Flags>& is_free, const Doubles& R,
+                 const Doubles& t, bool is_rig_free, const Doubles& prior_weight, const Doubles& prior_gradient,
+                 const Doubles& growth, DoublesOut shared, DoublesOut views, DoublesOut predicted, DoublesOut reduced,
+                 std::size_t n_threads) {
+    auto require = [](bool holds, const char* what) {
+        if (!holds) throw std::invalid_argument(what);
+    };
+    require(!grams.empty() && grams.size() <= 2 && grams.size() == is_free.size(), "one or two cameras");
+    Problem problem{};
+    const bool is_stereo = grams.size() == 2;
+    int column = 0;
+    for (std::size_t index = 0; index < grams.size(); ++index) {
+        const Doubles& gram = grams[index];
+        require(gram.ndim() == 4 && gram.shape(2) == gram.shape(3) && gram.shape(2) == is_free[index].size() + 7,
+                "gram must be (rigs, views, q, q)");
+        require(gram.shape(2) * gram.shape(3) <= kMaxGram, "too many columns");
+        require(index == 0 || (gram.shape(0) == problem.n_rigs && gram.shape(1) == problem.n_views),
+                "the cameras' views differ");
+        problem.n_rigs = gram.shape(0), problem.n_views = gram.shape(1);
+        CameraPart camera{gram.data(), static_cast<int>(is_free[index].size()), {}, {}};
+        for (int i = 0; i < camera.p; ++i) {
+            if (is_free[index].data()[i]) camera.keep.push_back(i), camera.place.push_back(column++);
+        }
+        problem.cameras.push_back(std::move(camera));
+    }
+    if (is_stereo && is_rig_free) {
+        CameraPart& right = problem.cameras[1];
+        for (int i = 0; i < 6; ++i) right.keep.push_back(right.p + i), right.place.push_back(column++);
+    }
+    problem.s = column;
+    require(column <= kMaxShared, "too many shared unknowns");
+    const std::size_t rigs = problem.n_rigs, s = column;
+    require(growth.size() == rigs, "one growth for each rig");
+    if (is_stereo) {
+        require(R.size() == 9 * rigs && t.size() == 3 * rigs, "one T_right_left for each rig");
+        problem.R = R.data(), problem.t = t.data();
+    }
+    if (prior_weight.size() > 0) {
+        require(prior_weight.size() == rigs * s && prior_gradient.size() == rigs * s, "the priors' size is wrong");
+        problem.prior_weight = prior_weight.data(), problem.prior_gradient = prior_gradient.data();
+    }
+    problem.growth = growth.data();
+    if (predicted.size() > 0) {
+        require(shared.size() == rigs * s && views.size() == 6 * rigs * problem.n_views && predicted.size() == rigs,
+                "an output has the wrong size");
+        problem.shared = shared.data(), problem.views = views.data(), problem.predicted = predicted.data();
+    }
+    if (reduced.size() > 0) {
+        require(reduced.size() == rigs * s * s, "an output has the wrong size");
+        problem.reduced = reduced.data();
+    }
+    nb::gil_scoped_release unlocked;
+    in_parallel(rigs, n_threads, [&](std::size_t first, std::size_t last) { steps_of_rigs(problem, first, last); });
+}
+
+}  // namespace
+
+void register_step(nb::module_& module) { module.def("solve_steps", &solve_steps); }
+
+}  // namespace binocal
