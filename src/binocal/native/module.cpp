@@ -4,4 +4,5 @@
 NB_MODULE(_kernel, module) {
     module.doc() = "The compiled kernels of binocal. Use them through binocal.native.";
     binocal::register_accumulate(module);
+    binocal::register_corner_fit(module);
 }
