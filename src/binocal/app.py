@@ -29,13 +29,16 @@ from binocal.detections import Detections
 from binocal.errors import BinocalError, CalibrationError, DataError, OutputExistsError
 from binocal.formats import native
 from binocal.formats.png import encode_png
+from binocal.geometry import SE3
 from binocal.metrics import image, pose
+from binocal.metrics.held_out import Criterion, criteria_on_exact_views
 from binocal.result import Covariance, RejectedView, StereoCalibration
 
 Progress = Callable[[str, int, int], None]
 ShouldStop = Callable[[], bool]
 
 DEMO_SQUARES_M = (0.010, 0.020)  # the two boards of PAPER table 3
+EXACT_VIEWS = 20
 HELD_OUT_STREAM = 999  # far from the streams that the rendered views are drawn from
 SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
 
@@ -81,6 +84,8 @@ class TruthEvaluation:
     noise_px: float
     """Corner noise, one standard deviation per coordinate, that the bound is computed for; NaN without a bound."""
     notes: tuple[str, ...] = ()
+    criteria: tuple[Criterion, ...] = ()
+    """The paper's criteria on exact new views of the true rig."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +109,6 @@ class DemoCase:
     folder: Path
     run: CalibrationRun
     evaluation: TruthEvaluation
-    length_error: image.LengthError
 
 
 def calibrate_pictures(
@@ -192,23 +196,29 @@ def simulate(
     return truth
 
 
-def evaluate_truth(calibration: StereoCalibration, truth: native.Truth) -> TruthEvaluation:
+def evaluate_truth(calibration: StereoCalibration, truth: native.Truth, *, seed: int = 0) -> TruthEvaluation:
     """Errors of a calibration whose truth is known, each beside its Cramér-Rao bound.
 
-    The bound is that of the views which the calibration used, for the corner noise that it measured.
+    The bound is that of the views which the calibration used, for the corner noise that it measured. The criteria are measured on
+    exact new views of the true rig, drawn from ``seed``.
     """
     rig, notes = calibration.rig, []
-    if not rig.is_metric:
-        rig = pose.scaled(rig, truth.board.pitch_m)
-        notes.append("the rig is in board pitches; it was scaled by the pitch of the truth's board.")
     sigma = calibration.covariance.sigma
-    if not calibration.rig.is_metric:
+    if not rig.is_metric:
         scale = truth.board.pitch_m
+        rig = pose.scaled(rig, scale)
         sigma = {name: s * scale if name.startswith("translation.") else s for name, s in sigma.items()}
+        notes.append("the rig is in board pitches; it was scaled by the pitch of the truth's board.")
     has_skew = "left.skew" in calibration.covariance.names
-    bound = _bound(calibration, truth, has_skew, notes)
+    bounded = _bound(calibration, truth, has_skew, notes)
+    bound = None if bounded is None else bounded[1]
     comparison = pose.compare_with_truth(rig, truth.rig, sigma=sigma, bound=bound, has_skew=has_skew)
-    return TruthEvaluation(comparison, calibration.noise_px if bound is not None else float("nan"), tuple(notes))
+    exact, T_left_board = _held_out_views(truth, EXACT_VIEWS, seed)
+    criteria = criteria_on_exact_views(
+        rig, exact, T_left_board, _side_m(truth.board), bounded, np.random.default_rng(seed)
+    )
+    noise_px = calibration.noise_px if bound is not None else float("nan")
+    return TruthEvaluation(comparison, noise_px, tuple(notes), criteria)
 
 
 def evaluate_pictures(
@@ -229,7 +239,7 @@ def evaluate_pictures(
         raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
     found = _detect(left, right, board, False, progress, should_stop)
     notes = list(found.notes)
-    detections, side_m = found.detections, board.pitch_m * (np.sqrt(2) if board.kind == "acircles" else 1.0)
+    detections, side_m = found.detections, _side_m(board)
     for side, camera, size_wh in (
         ("left", rig.left, detections.left_size_wh),
         ("right", rig.right, detections.right_size_wh),
@@ -272,9 +282,7 @@ def demo(
         left, right = str(folder / "left_*.png"), str(folder / "right_*.png")
         run = calibrate_pictures(left, right, board, CalibrateOptions(model="brown4", seed=seed), progress=told)
         native.write_calibration(folder / "rig.json", run.calibration, force=force)
-        evaluation = evaluate_truth(run.calibration, truth)
-        lengths = image.length_error(run.calibration.rig, _held_out_detections(truth, n_pairs, seed))
-        cases.append(DemoCase(name, folder, run, evaluation, lengths))
+        cases.append(DemoCase(name, folder, run, evaluate_truth(run.calibration, truth, seed=seed)))
     return tuple(cases)
 
 
@@ -395,8 +403,10 @@ def _evaluate_detections(
     )
 
 
-def _bound(calibration: StereoCalibration, truth: native.Truth, has_skew: bool, notes: list[str]) -> Covariance | None:
-    """The Cramér-Rao bound at the true rig, in the camera model that was estimated; None, with a note, without one."""
+def _bound(
+    calibration: StereoCalibration, truth: native.Truth, has_skew: bool, notes: list[str]
+) -> tuple[StereoRig, Covariance] | None:
+    """The true rig in the camera model that was estimated, and the Cramér-Rao bound there; None, with a note, without one."""
     from binocal.solvers.covariance import cramer_rao_bound
 
     left = pose.in_model(truth.rig.left, calibration.rig.left.model)
@@ -418,7 +428,7 @@ def _bound(calibration: StereoCalibration, truth: native.Truth, has_skew: bool, 
     rig = replace(truth.rig, left=left, right=right)
     poses = truth.T_left_board[chosen]
     points = truth.board.object_points_m
-    return cramer_rao_bound(
+    bound = cramer_rao_bound(
         rig,
         points,
         poses,
@@ -427,6 +437,7 @@ def _bound(calibration: StereoCalibration, truth: native.Truth, has_skew: bool, 
         right_is_seen=_is_inside(rig.right.project((rig.T_right_left @ poses).apply(points)), rig.right.size_wh),
         skew=has_skew,
     )
+    return rig, bound
 
 
 def _is_inside(pixels: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
@@ -434,8 +445,8 @@ def _is_inside(pixels: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
         return np.all((pixels >= -0.5) & (pixels <= np.array(size_wh) - 0.5), axis=-1)
 
 
-def _held_out_detections(truth: native.Truth, n_views: int, seed: int) -> Detections:
-    """Exact corners of new views of the truth's rig and board: what a rig measures on them is its own error alone."""
+def _held_out_views(truth: native.Truth, n_views: int, seed: int) -> tuple[Detections, SE3]:
+    """Exact corners of new views of the truth's rig and board, and their poses."""
     from binocal.simulation import sample_board_poses
 
     rig, points = truth.rig, truth.board.object_points_m
@@ -446,7 +457,13 @@ def _held_out_detections(truth: native.Truth, n_views: int, seed: int) -> Detect
         pixels = camera.project(poses.apply(points))
         pixels[~_is_inside(pixels, camera.size_wh)] = np.nan
         sides.append(pixels)
-    return Detections.from_arrays(points, sides[0], sides[1], rig.left.size_wh, right_image_size_wh=rig.right.size_wh)
+    exact = Detections.from_arrays(points, sides[0], sides[1], rig.left.size_wh, right_image_size_wh=rig.right.size_wh)
+    return exact, T_left_board
+
+
+def _side_m(board: Board) -> float:
+    """Distance of neighbouring points of the board, metres."""
+    return board.pitch_m * (np.sqrt(2) if board.kind == "acircles" else 1.0)
 
 
 def _render(

@@ -7,7 +7,7 @@ import pytest
 from binocal import detect
 from binocal.boards import parse_board
 from binocal.detection.chessboard import find_chessboard_size
-from binocal.detection.detect import stretch
+from binocal.detection.detect import stretch_8_bit
 
 
 def rms_px(found, corners_px):
@@ -131,8 +131,8 @@ def test_a_charuco_board_is_no_chessboard(shoot):
 
 
 def test_the_size_of_an_unknown_board(shoot):
-    assert find_chessboard_size(stretch(shoot("chessboard:8x5:30mm").image)[0]) == (8, 5)
-    assert find_chessboard_size(np.full((300, 400), 100, np.float32)) is None
+    assert find_chessboard_size(stretch_8_bit(shoot("chessboard:8x5:30mm").image)[0]) == (8, 5)
+    assert find_chessboard_size(np.full((300, 400), 100, np.uint8)) is None
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((40, 40, 2), np.uint8), np.zeros(40, np.uint8)])

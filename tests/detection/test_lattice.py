@@ -3,17 +3,26 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from binocal.detection.lattice import continues_beyond, find_lattices, predict_missing
-from binocal.detection.xcorners import find_x_corners, read_rings, sample
+from binocal.detection.lattice import continues_beyond, find_lattices, link_corners, predict_missing
+from binocal.detection.xcorners import SaddlePicture, find_x_corners, read_rings, sample
 
 
 def smooth_of(image):
     return cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
 
 
+def saddles_of(image):
+    return SaddlePicture.of(smooth_of(image), 3.0)
+
+
+def lattices_of(saddles):
+    corners = find_x_corners(saddles)
+    return find_lattices(saddles, corners, link_corners(saddles, corners))
+
+
 def test_x_corners_are_the_boards_and_their_rays_follow_the_edges(shoot):
     shot = shoot("chessboard:9x6:30mm", (0.0, 0.0, 0.0), clutter_dn=0.0)
-    corners = find_x_corners(smooth_of(shot.image), 3.0)
+    corners = find_x_corners(saddles_of(shot.image))
     distance = np.linalg.norm(corners.points_px[:, None] - shot.corners_px[None], axis=-1)
     assert distance.min(axis=0).max() < 1.0
     at = distance.argmin(axis=0)
@@ -27,24 +36,24 @@ def test_edges_and_flat_areas_are_no_corners():
     picture[:, 30:] = 200
     is_corner, _, _ = read_rings(smooth_of(picture), np.array([[29.5, 30.0], [10.0, 10.0]], np.float32), 3.0)
     assert not is_corner.any()
-    assert len(find_x_corners(np.full((60, 60), 90, np.float32), 3.0)) == 0
+    assert len(find_x_corners(saddles_of(np.full((60, 60), 90, np.uint8)))) == 0
 
 
 def test_a_lattice_has_the_boards_size_and_order(shoot):
     shot = shoot("chessboard:9x6:30mm")
-    smooth = smooth_of(shot.image)
-    lattice = find_lattices(smooth, find_x_corners(smooth, 3.0), 3.0)[0]
+    saddles = saddles_of(shot.image)
+    lattice = lattices_of(saddles)[0]
     assert lattice.size == (9, 6) and lattice.n_seen == 54
     a, b = lattice.points_px[0, 1] - lattice.points_px[0, 0], lattice.points_px[1, 0] - lattice.points_px[0, 0]
     assert a[0] * b[1] - a[1] * b[0] > 0  # not mirrored
-    assert not continues_beyond(smooth, lattice, 3.0)
+    assert not continues_beyond(saddles, lattice)
 
 
 def test_a_part_of_a_board_is_seen_to_continue(shoot):
-    smooth = smooth_of(shoot("chessboard:9x6:30mm").image)
-    lattice = find_lattices(smooth, find_x_corners(smooth, 3.0), 3.0)[0]
+    saddles = saddles_of(shoot("chessboard:9x6:30mm").image)
+    lattice = lattices_of(saddles)[0]
     part = type(lattice)(lattice.points_px[:, :-1], lattice.is_dark_first, lattice.contrast_dn)
-    assert continues_beyond(smooth, part, 3.0)
+    assert continues_beyond(saddles, part)
 
 
 def test_a_hole_is_predicted_from_its_neighbours():

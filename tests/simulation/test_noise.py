@@ -1,10 +1,8 @@
-import time
-
 import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.simulation import PoseOptions, random_rig, sample_scene, simulate_detections, table2_rig
+from binocal.simulation import PoseOptions, sample_scene, simulate_detections, table2_rig
 
 BOARD = parse_board("chessboard:11x8:20mm")
 
@@ -63,13 +61,3 @@ def test_bad_shares_are_refused(scene):
         simulate_detections(scene, np.random.default_rng(0), outlier_share=1.5)
     with pytest.raises(ValueError, match="noise_px"):
         simulate_detections(scene, np.random.default_rng(0), noise_px=-1)
-
-
-def test_a_rig_with_its_scene_and_corners_takes_milliseconds():
-    best = np.inf
-    for seed in range(8):
-        start = time.perf_counter()
-        rng = np.random.default_rng(seed)
-        simulate_detections(sample_scene(random_rig(rng), BOARD, 20, rng), rng, noise_px=0.1)
-        best = min(best, time.perf_counter() - start)
-    assert best < 0.04  # measured 0.008 s; four times that for a slow or busy machine

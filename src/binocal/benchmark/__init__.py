@@ -12,7 +12,13 @@ def _solver(**options: Any) -> dict[str, Any]:
     return run_solver_benchmark(**options)
 
 
-BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {"solver": _solver}
+def _precision(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.precision import run_precision_benchmark
+
+    return run_precision_benchmark(**options)
+
+
+BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {"precision": _precision, "solver": _solver}
 
 
 def run(name: str, **options: Any) -> dict[str, Any]:

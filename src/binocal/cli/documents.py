@@ -39,6 +39,10 @@ def truth_document(evaluation: TruthEvaluation) -> dict[str, Any]:
         "n_parameters": len(c.parameters),
         "has_bound": c.has_bound,
         "noise_px": evaluation.noise_px,
+        "criteria": [
+            {"name": c.name, "unit": c.unit, "value": c.value, "bound": c.bound, "ratio": c.ratio}
+            for c in evaluation.criteria
+        ],
         "parameters": [
             {
                 "name": p.name,
@@ -88,7 +92,6 @@ def demo_document(cases: Sequence[DemoCase]) -> dict[str, Any]:
                 "folder": str(case.folder),
                 "n_views": len(case.run.calibration.views),
                 "rms_px": case.run.calibration.rms.all_px,
-                "relative_length_error_percent": case.length_error.scale_rms_percent,
                 "elapsed_s": dict(case.run.elapsed_s),
                 "rejected": [{"name": v.name, "reason": v.reason} for v in case.run.calibration.rejected],
             }

@@ -9,9 +9,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
+from binocal.cli.exits import FAILED, FINE, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
 from binocal.errors import BinocalError, MissingExtraError, NotConvergedError
-
-FINE, FAILED, USAGE, UNUSABLE_INPUT, BELOW_QUALITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -86,8 +85,3 @@ def _report_usage(error: Any, wants_json: bool) -> int:
 
 def _show_warning(message: Any, *_: Any, **__: Any) -> None:
     print(f"warning: {one_line(str(message))}", file=sys.stderr)
-
-
-def one_line(text: str) -> str:
-    """The text without line breaks."""
-    return " ".join(str(text).split())

@@ -12,7 +12,7 @@ import numpy as np
 
 from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TruthEvaluation
 from binocal.cameras import StereoRig, camera_model
-from binocal.cli.running import one_line
+from binocal.cli.exits import one_line
 from binocal.metrics.pose import ParameterError
 from binocal.result import RejectedView, StereoCalibration
 
@@ -42,6 +42,9 @@ def calibration_text(
     rms = calibration.rms
     lines.append(f"RMS      {rms.left_px:.3f} px left, {rms.right_px:.3f} px right, {rms.all_px:.3f} px together")
     lines.append(f"Corners  noise {calibration.noise_px:.3f} px per coordinate, {_outlier_words(calibration)}")
+    choice = calibration.provenance.get("model_choice")
+    if choice:
+        lines.append(f"Model    {one_line(choice['reason'])}")
     lines += _view_lines(calibration)
     if run.ignored:
         lines.append(f"Files    {len(run.ignored)} ignored (listed above, on stderr)")
@@ -60,7 +63,7 @@ def truth_text(evaluation: TruthEvaluation) -> str:
     lines += [""] if lines else []
     rows = [_parameter_row(parameter) for parameter in c.parameters]
     lines.append(format_table(("parameter", "truth", "value", "error", "sigma", "error/bound", ""), rows))
-    lines += ["", *_comparison_lines(evaluation)]
+    lines += ["", _criteria_table(evaluation)]
     return "\n".join(lines)
 
 
@@ -100,10 +103,7 @@ def demo_text(cases: Sequence[DemoCase], output: Path) -> str:
             *(f"warning: {one_line(text)}" for text in case.run.calibration.warnings),
             "",
             truth_text(case.evaluation),
-            f"relative length error     {case.length_error.scale_rms_percent:.4f} % "
-            f"({case.length_error.n_views} new views)",
-            f"time                      {case.run.elapsed_s['pictures']:.2f} s for the pictures, "
-            f"{case.run.elapsed_s['solve']:.2f} s to solve",
+            f"{case.run.elapsed_s['pictures']:.2f} s for the pictures, {case.run.elapsed_s['solve']:.2f} s to solve",
             "",
         ]
     return "\n".join([*lines, f"Wrote pictures, truth.json and rig.json of both boards into {output}"])
@@ -217,13 +217,17 @@ def _parameter_row(p: ParameterError) -> tuple[str, ...]:
     )
 
 
-def _comparison_lines(evaluation: TruthEvaluation) -> list[str]:
+def _criteria_table(evaluation: TruthEvaluation) -> str:
     c = evaluation.comparison
-    bound = f"(bound {c.rotation_bound_deg:.4f})" if c.has_bound else "(no bound)"
-    translation_bound = f"(bound {c.translation_bound_mm:.4f})" if c.has_bound else "(no bound)"
-    return [
-        f"rotation error            {c.rotation_error_deg:.4f} deg {bound}",
-        f"translation error         {c.translation_error_mm:.4f} mm {translation_bound}",
-        f"baseline error            {c.baseline_error_mm:+.4f} mm",
-        f"parameter accuracy (20)   {c.parameter_accuracy_percent:.0f} % ({c.n_correct} of {len(c.parameters)})",
+    rows = [
+        ("rotation error", "deg", c.rotation_error_deg, c.rotation_bound_deg),
+        ("translation error", "mm", c.translation_error_mm, c.translation_bound_mm),
+        *((criterion.name, criterion.unit, criterion.value, criterion.bound) for criterion in evaluation.criteria),
     ]
+    cells = [
+        (name, unit, f"{value:.4f}", f"{bound:.4f}" if bound > 0 else "-", f"{value / bound:.2f}" if bound > 0 else "-")
+        for name, unit, value, bound in rows
+    ]
+    table = format_table(("criterion", "", "value", "bound", "value/bound"), cells, align="llrrr")
+    right = f"parameters within tolerance (eq. 20): {c.n_correct} of {len(c.parameters)}"
+    return f"{table}\n{right}, {c.parameter_accuracy_percent:.0f} %; baseline error {c.baseline_error_mm:+.4f} mm"

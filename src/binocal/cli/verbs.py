@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from binocal import __version__
-from binocal.cli.running import BELOW_QUALITY, FINE
+from binocal.cli.exits import BELOW_QUALITY, FINE
 
 app = typer.Typer(
     add_completion=False,
@@ -144,7 +144,7 @@ def simulate(
     pairs: Annotated[int, typer.Option("--pairs", help="Number of picture pairs.", metavar="N", min=1)],
     output: Annotated[Path, typer.Option("--output", help="Folder for the pictures and truth.json.", metavar="DIR")],
     rig: Annotated[
-        str, typer.Option("--rig", help="table2 (the paper's rig), or a rig.json.", metavar="NAME")
+        str, typer.Option("--rig", help="table2 (the paper's rig), a rig.json, or OpenCV's file.", metavar="NAME")
     ] = "table2",
     blur: Annotated[
         float, typer.Option("--blur", help="Blur of the lens, sigma in pixels.", metavar="PX", min=0.0)
@@ -171,7 +171,9 @@ def simulate(
 
         true_rig = table2_rig()
     else:
-        true_rig = native.read_rig(rig)
+        from binocal.formats.rig_file import load_rig
+
+        true_rig = load_rig(rig)
     with progress_on_terminal() as progress:
         truth = verbs.simulate(true_rig, parsed, pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"
@@ -181,7 +183,10 @@ def simulate(
 
 @app.command()
 def evaluate(
-    rig: Annotated[Path, typer.Argument(help="The calibration to judge.", metavar="RIG.JSON")],
+    rig: Annotated[
+        Path,
+        typer.Argument(help="The calibration to judge: rig.json, or OpenCV's file with --left.", metavar="RIG.JSON"),
+    ],
     truth: Annotated[
         Path | None, typer.Option("--truth", help="truth.json of the simulation.", metavar="TRUTH.JSON")
     ] = None,
@@ -195,6 +200,7 @@ def evaluate(
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import native
+    from binocal.formats.rig_file import load_rig
 
     on_pictures = (left, right, board)
     if (truth is None) == (on_pictures == (None, None, None)) or (truth is None and None in on_pictures):
@@ -203,7 +209,7 @@ def evaluate(
         against_truth = verbs.evaluate_truth(native.read_calibration(rig), native.read_truth(truth))
         _present(documents.truth_document(against_truth), tables.truth_text(against_truth), json)
         return FINE
-    read = native.read_rig(rig)
+    read = load_rig(rig)
     with progress_on_terminal() as progress:
         on_held_out = verbs.evaluate_pictures(read, str(left), str(right), _parse_board(str(board)), progress=progress)
     tables.list_left_out(on_held_out.ignored, on_held_out.rejected, on_held_out.notes)

@@ -12,13 +12,13 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
-from binocal.detection.lattice import Lattice, continues_beyond, find_lattices
+from binocal.detection.lattice import Lattice, continues_beyond, find_lattices, link_corners
 from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import find_irregular
-from binocal.detection.xcorners import find_x_corners, read_rings, sample
+from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings, sample
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32
+    from jaxtyping import Bool, Float, UInt8
 
 MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
@@ -31,14 +31,13 @@ _RIVAL_SPACING = (
 class _Level:
     """One search: the lattices in a picture scaled by ``scale``, in that picture's pixels."""
 
-    smooth: Float32[ndarray, "h w"]
+    saddles: SaddlePicture
     scale: float
-    radius_px: float
     lattices: list[Lattice]
 
 
-def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
-    """The inner corners of a chessboard; ``stretched`` is the same picture as float32 in 0..255.
+def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
+    """The inner corners of a chessboard; ``picture`` is ``grey`` stretched to 8 bits.
 
     Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's
     two (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the
@@ -46,30 +45,47 @@ def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: 
     degrees.
     """
     size = (max(board.columns, board.rows), min(board.columns, board.rows))
-    partial: tuple[Lattice, _Level] | None = None
+    seen: list[tuple[Lattice, _Level]] = []  # lattices of the board's size, nearly whole
+    least, most_seen = MIN_SHARE_SEEN * board.n_points, 0
     other: Lattice | None = None
     previous: tuple[int, int] | None = None
-    for level in _search_levels(stretched, size):
+    failed: FoundBoard | None = None
+    for level in _search_levels(picture, size):
         exact = [lattice for lattice in level.lattices if lattice.size == size]
-        if exact and exact[0].n_seen == board.n_points:
-            return _finish(grey, stretched, board, exact[0], level)
-        if exact and (partial is None or exact[0].n_seen > partial[0].n_seen):
-            partial = exact[0], level
+        is_second_look = bool(seen)
+        if exact:
+            most_seen = max(most_seen, exact[0].n_seen)
+            if exact[0].n_seen >= least:
+                seen.append((exact[0], level))
+        if seen and (is_second_look or most_seen == board.n_points):
+            # A finer look seldom shows more than the second.
+            for lattice, where in sorted(seen, key=lambda candidate: -candidate[0].n_seen):
+                found = _finish(grey, picture, board, lattice, where)
+                if found.is_found:
+                    return found
+                failed = failed or found
+            seen = []
+        if exact:
+            continue
         rivals = _boards(level.lattices)
         if len(rivals) > 1:
-            return _several(board, rivals)
+            return failed or _several(board, rivals)
         if rivals and (other is None or rivals[0].n_seen > other.n_seen):
             other = rivals[0]
         larger = rivals[0].size if rivals and (rivals[0].size[0] > size[0] or rivals[0].size[1] > size[1]) else None
-        if larger is not None and larger == previous and not exact:
+        if larger is not None and larger == previous:
             break  # two levels agree on a larger board
         previous = larger
-    if partial and partial[0].n_seen >= MIN_SHARE_SEEN * board.n_points:
-        return _finish(grey, stretched, board, *partial)
+    for lattice, where in seen:
+        found = _finish(grey, picture, board, lattice, where)
+        if found.is_found:
+            return found
+        failed = failed or found
+    if failed is not None:
+        return failed
     spec = f"{board.columns}x{board.rows}"
-    if other is None or (partial is not None and partial[0].n_seen >= other.n_seen):
-        seen = partial[0].n_seen if partial else 0
-        text = f"only {seen} of the {board.n_points} corners were seen" if seen else "no chessboard found"
+    if other is None or most_seen >= other.n_seen:
+        text = f"only {most_seen} of the {board.n_points} corners were seen" if most_seen else "no chessboard found"
         return not_found(board.n_points, text)
     columns, rows = other.size
     if columns > size[0] or rows > size[1]:
@@ -79,34 +95,63 @@ def detect_chessboard(grey: ndarray, stretched: Float32[ndarray, "h w"], board: 
     )
 
 
-def find_chessboard_size(stretched: Float32[ndarray, "h w"]) -> tuple[int, int] | None:
+def find_chessboard_size(picture: UInt8[ndarray, "h w"]) -> tuple[int, int] | None:
     """Columns and rows (the larger first) of the largest complete chessboard in a picture."""
     best: Lattice | None = None
-    for level in _search_levels(stretched, None):
+    for level in _search_levels(picture, None):
         for lattice in _boards(level.lattices)[:1]:
             if best is None or lattice.n_seen > best.n_seen:
                 best = lattice
     return best.size if best else None
 
 
-def _search_levels(stretched: Float32[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[_Level]:
+def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[_Level]:
     """The picture's lattices, coarse to fine.
 
     Most boards are found at the first level, at a fraction of the cost of the last.
     """
-    longest = max(stretched.shape)
-    halvings = max(0, int(np.floor(np.log2(longest / COARSEST_PX))))
-    settings = [(0.5**k, 1.5, 5.0) for k in range(halvings, -1, -1)] + [(1.0, 1.0, 3.0)]
-    settings += [(0.5, 1.0, 3.0)] if halvings else [(2.0, 1.2, 3.5)]
-    scaled: dict[float, ndarray] = {1.0: stretched}
-    for scale, sigma, radius_px in settings:
-        if scale not in scaled:
-            how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-            scaled[scale] = cv2.resize(stretched, None, fx=scale, fy=scale, interpolation=how)
-        smooth = cv2.GaussianBlur(scaled[scale], (0, 0), sigma)
-        least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
-        corners = find_x_corners(smooth, radius_px)
-        yield _Level(smooth, scale, radius_px, find_lattices(smooth, corners, radius_px, least=least, size=size))
+    halvings = max(0, int(np.floor(np.log2(max(picture.shape) / COARSEST_PX))))
+    pyramid = [picture]
+    for _ in range(halvings):
+        pyramid.append(cv2.resize(pyramid[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
+    most = 1200 if size is None else max(400, 4 * size[0] * size[1])
+    most_linked = 0
+    for halved, sigma, radius_px, least_linked in _level_settings(halvings):
+        if most_linked < least_linked:
+            continue
+        if halved < 0:
+            scaled = cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        else:
+            scaled = pyramid[halved]
+        if halved == halvings:
+            scaled = scaled.astype(np.float32)
+        saddles = SaddlePicture.of(cv2.GaussianBlur(scaled, (0, 0), sigma), radius_px)
+        corners = find_x_corners(saddles, most=most)
+        groups = link_corners(saddles, corners)
+        most_linked = max([most_linked, *map(len, groups[:1])])
+        yield _Level(saddles, 0.5**halved, find_lattices(saddles, corners, groups, least=least, size=size))
+
+
+def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
+    """The searches in order: halvings of the picture, smoothing and ring radius in pixels of the halved picture.
+
+    The last number is how many linked corners earlier searches must have seen: chance links no more than four, and the
+    dear searches only help where squares are small, blurred or noisy, but seen in part.
+    """
+    if halvings == 0:
+        return [(0, 1.2, 4.0, 0), (0, 0.8, 2.6, 0), (-1, 1.2, 3.5, 0)]
+    middle = [(halved, 1.2, 4.0, 0) for halved in range(halvings - 1, 0, -1)]
+    if halvings == 1:
+        return [(1, 0.8, 2.6, 0), (0, 1.2, 4.0, 0), (1, 1.5, 5.0, 4), (0, 1.0, 3.0, 4)]
+    return [
+        (halvings, 0.8, 2.6, 0),
+        *middle,
+        (1, 0.8, 2.6, 0),
+        (0, 1.5, 5.0, 5),
+        (halvings, 1.5, 5.0, 5),
+        (0, 1.0, 3.0, 5),
+    ]
 
 
 def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattice]:
@@ -179,25 +224,23 @@ def _reach(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows colum
     return np.where(nearest > 0, nearest, np.nan)
 
 
-def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
+def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
     """Orient, refine at full resolution and check a lattice of the board's size."""
     rivals = _boards(level.lattices, lattice)[1:]
     if len(rivals) > 1 or any(rival.size == lattice.size for rival in rivals):
         return _several(board, [lattice, *rivals])
-    if continues_beyond(level.smooth, lattice, level.radius_px):
+    if continues_beyond(level.saddles, lattice):
         return _too_large(board, None)
-    full = (lattice.points_px + 0.5) / level.scale - 0.5
-    if _are_squares_patterned(stretched, full, lattice.is_dark_first):
+    if _are_squares_patterned(level.saddles.smooth, lattice.points_px, lattice.is_dark_first):
         return not_found(
             board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
         )
     grid = (_orient(lattice, board) + 0.5) / level.scale - 0.5
     spacing = _spacing(grid).ravel()
-    coarse = grid.reshape(-1, 2)
+    coarse = localize_saddles(picture, grid.reshape(-1, 2), spacing)
     points, covariance = measure_corners(grey, coarse, board.object_points_m[:, :2], _reach(grid).ravel())
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
-    smooth = level.smooth if level.scale == 1 else cv2.GaussianBlur(stretched, (0, 0), 1.0)
-    points[_are_faint(smooth, points, spacing)] = np.nan
+    points[_are_faint(level.saddles.smooth, (points + 0.5) * level.scale - 0.5, spacing * level.scale)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= max(4, MIN_SHARE_SEEN * board.n_points):
         points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
@@ -218,40 +261,46 @@ def _finish(grey: ndarray, stretched: ndarray, board: Board, lattice: Lattice, l
     return FoundBoard(points, covariance, note="; ".join(notes))
 
 
-def _are_squares_patterned(
-    stretched: Float32[ndarray, "h w"], grid: Float[ndarray, "rows columns 2"], is_dark_first: bool
-) -> bool:
-    """Whether the bright squares are not plain: a marker fills most of its square with dark, shading only tints it."""
+def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2"], is_dark_first: bool) -> bool:
+    """Whether the bright squares are not plain: a marker fills most of its square with dark, shading only tints it.
+
+    Each bright square is compared with the dark squares beside it, for shadows may lie on the board.
+    """
     corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)  # (rows, columns, 4, 2)
     share = np.linspace(0.2, 0.8, 7)
     v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
-    values = sample(stretched, np.nan_to_num(weights @ corners))
+    values = sample(smooth, np.nan_to_num(weights @ corners))
     rows, columns = values.shape[:2]
     is_whole = np.isfinite(corners[..., 0]).all(axis=2)
-    is_bright = (np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)
-    if not (is_bright & is_whole).any() or not (~is_bright & is_whole).any():
+    is_bright = ((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)) & is_whole
+    middle = np.where(is_whole & ~is_bright, np.median(values, axis=-1), np.nan)
+    around = np.pad(middle, 1, constant_values=np.nan)
+    dark = np.fmax(np.fmax(around[:-2, 1:-1], around[2:, 1:-1]), np.fmax(around[1:-1, :-2], around[1:-1, 2:]))
+    usable = is_bright & np.isfinite(dark)
+    if not usable.any():
         return False
-    dark = np.median(values[~is_bright & is_whole])
-    bright = np.percentile(values[is_bright & is_whole], 95)
-    share_dark = np.mean(values[is_bright & is_whole] < 0.5 * (dark + bright), axis=-1)
+    values, dark = values[usable], dark[usable]
+    share_dark = np.mean(values < 0.5 * (dark + values.max(axis=-1))[:, None], axis=-1)
     return bool(np.median(share_dark) > 0.25)
 
 
 def _are_faint(smooth: ndarray, points: Float[ndarray, "n 2"], spacing: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
     """Which points do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
 
-    Says nothing (all False) where most points fail: a picture too blurred for rings of this size is not covered
-    everywhere.
+    Contrast is taken absolutely and relative to the brightness about the corner, because a shadow dims both. Says
+    nothing (all False) where most points fail: a picture too blurred for rings of this size is not covered everywhere.
     """
     seen = np.isfinite(points[:, 0])
     faint = np.zeros(len(points), bool)
     if not seen.any():
         return faint
     radius = float(np.clip(0.2 * np.median(spacing[seen]), 2.5, 8.0))
-    is_corner, _, contrast = read_rings(smooth, points[seen], radius)
+    is_corner, _, contrast = read_rings(smooth, points[seen], radius, min_contrast_dn=3.0, max_unlikeness=0.6)
     if is_corner.mean() > 0.5:
-        faint[seen] = ~is_corner | (contrast < np.median(contrast[is_corner]) / 3)
+        relative = contrast / (sample(smooth, points[seen]) + 1)
+        faint[seen] = ~is_corner
+        faint[seen] |= (contrast < np.median(contrast[is_corner]) / 3) & (relative < np.median(relative[is_corner]) / 3)
     return faint
 
 

@@ -69,6 +69,7 @@ def fit_corners(
     points, covariance = _share_slope(fits.points_px, fits.light_slope, joint, is_fitted & (misfit < 2))
     if board_xy is not None:
         points -= _bending_shift(board_xy, points, fits, is_fitted & (misfit < 2))
+    covariance += _sampling_covariance(fits)
     points[~is_fitted] = np.nan
     covariance[~is_fitted] = np.nan
     blur = np.sqrt(np.maximum(fits.blur_px**2 - 1 / 12, 0))
@@ -118,6 +119,20 @@ def _bending_shift(
     determinant = np.where(np.abs(determinant) > 0.1, determinant, np.nan)
     shift = np.stack([d * offsets[0] - b * offsets[1], a * offsets[1] - c * offsets[0]], axis=-1) / determinant[:, None]
     return np.nan_to_num(shift)
+
+
+def _sampling_covariance(fits: native.CornerFits) -> Float[ndarray, "n 2 2"]:
+    """Covariance of the bias that pixels leave which are coarser than the edge is blurred, px^2.
+
+    Without blur an edge along the pixels' rows changes one grey value only, and how much the pixel's shape is not a
+    Gaussian's: measured on rendered boards parallel to the rows, .038, .022, .0074, .0028 px at blurs (pixel integration
+    included) of .295, .347, .42, .50. An edge that crosses a row within the disc averages it away.
+    """
+    slant = np.abs(np.sin(2 * fits.edges_rad)) / 2  # of the angle to the nearer of the pixels' axes, nearly
+    crossed = 1 + (2 * fits.radius_px[:, None] * slant) ** 2
+    bias = np.minimum(0.038 * np.exp(-12.5 * (fits.blur_px - 0.29)), 0.05) / crossed
+    normals = np.stack([-np.sin(fits.edges_rad), np.cos(fits.edges_rad)], axis=-1)
+    return np.einsum("nk,nki,nkj->nij", bias**2, normals, normals)
 
 
 def _share_slope(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -16,7 +17,7 @@ from binocal.detection.circles import detect_circles
 from binocal.detection.found import FoundBoard, not_found
 
 if TYPE_CHECKING:
-    from jaxtyping import Float32
+    from jaxtyping import Float32, UInt8
 
 MIN_SIDE_PX = 32
 BLANK_DN = 6.0  # of 255 after stretching at most fourfold
@@ -45,11 +46,12 @@ def detect_in_layout(
     grey = to_grey(image)
     if min(grey.shape) < MIN_SIDE_PX:
         return not_found(board.n_points, f"the picture is only {grey.shape[1]}x{grey.shape[0]} pixels"), None
+    if board.kind == "chessboard":
+        picture, problem = stretch_8_bit(grey)
+        return (not_found(board.n_points, problem) if problem else detect_chessboard(grey, picture, board)), None
     stretched, problem = stretch(grey)
     if problem:
         return not_found(board.n_points, problem), None
-    if board.kind == "chessboard":
-        return detect_chessboard(grey, stretched, board), None
     if board.kind == "charuco":
         return detect_charuco(grey, stretched, board, layout if isinstance(layout, str) else "")
     if board.kind == "aprilgrid":
@@ -59,18 +61,40 @@ def detect_in_layout(
 
 def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:
     """The picture as float32 in 0..255, stretched (8-bit: at most fourfold), and what makes it useless, if anything."""
+    low, gain, problem = _measure_range(grey)
+    if problem:
+        return grey.astype(np.float32), problem
+    return np.clip((grey.astype(np.float32) - low) * gain, -64, 320), ""
+
+
+def stretch_8_bit(grey: ndarray) -> tuple[UInt8[ndarray, "h w"], str]:
+    """As :func:`stretch`, rounded to uint8 in 0..255; a picture that needs no stretching is returned as it is."""
+    low, gain, problem = _measure_range(grey)
+    if problem or (grey.dtype == np.uint8 and gain == 1):
+        return grey.astype(np.uint8, copy=False), problem
+    if grey.dtype == np.uint8:
+        table = np.clip(np.rint((np.arange(256) - low) * gain), 0, 255).astype(np.uint8)
+        return cv2.LUT(grey, table), ""
+    # convertScaleAbs would fold what lies below the range
+    return cv2.add(cv2.multiply(grey, gain, dtype=cv2.CV_32F), -low * gain, dtype=cv2.CV_8U), ""
+
+
+def _measure_range(grey: ndarray) -> tuple[float, float, str]:
+    """The grey level that becomes 0, the gain, and what makes the picture useless, if anything."""
     step = max(1, min(grey.shape) // 120)
-    low, high = (float(value) for value in np.percentile(grey[::step, ::step], (0.5, 99.5)))
+    values = np.ascontiguousarray(grey[::step, ::step]).ravel()
+    ranks = (int(0.005 * (values.size - 1)), int(np.ceil(0.995 * (values.size - 1))))
+    low, high = (float(value) for value in np.partition(values, ranks)[list(ranks)])
     span = high - low
     top = 255.0 if grey.dtype == np.uint8 else float(grey.max())
-    share = float(np.mean(grey[::step, ::step] >= top - (1 if grey.dtype == np.uint8 else 0)))
+    share = float(np.mean(values >= top - (1 if grey.dtype == np.uint8 else 0)))
     if share > 0.6 and top > 0:
-        return grey.astype(np.float32), f"the picture is overexposed ({100 * share:.0f} % of it is saturated)"
+        return low, 1.0, f"the picture is overexposed ({100 * share:.0f} % of it is saturated)"
     least = BLANK_DN if grey.dtype == np.uint8 else 16.0
     if span < least:
-        return grey.astype(np.float32), f"the picture is blank (its grey values span {span:.0f} levels)"
+        return low, 1.0, f"the picture is blank (its grey values span {span:.0f} levels)"
     gain = 255.0 / span
     if grey.dtype == np.uint8:
         gain = min(gain, GREATEST_STRETCH) if gain > 1.5 else 1.0
         low = low if gain > 1 else 0.0
-    return np.clip((grey.astype(np.float32) - low) * gain, -64, 320), ""
+    return low, gain, ""

@@ -14,7 +14,7 @@ from binocal.boards import Board
 from binocal.datasets.pictures import read_grey_picture
 from binocal.detection.charuco import find_columns
 from binocal.detection.chessboard import find_chessboard_size
-from binocal.detection.detect import detect, stretch
+from binocal.detection.detect import detect, stretch, stretch_8_bit
 from binocal.detection.found import FoundBoard
 from binocal.detection.markers import find_markers, to_8_bit
 from binocal.errors import FormatError
@@ -74,8 +74,8 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
         if columns and columns != board.columns:
             return f"the markers in {path.name} fit a board {columns} squares wide: count columns and rows again."
     if board.kind in ("circles", "acircles"):
-        stretched, problem = stretch(grey)
-        size = None if problem else find_chessboard_size(stretched)
+        picture, problem = stretch_8_bit(grey)
+        size = None if problem else find_chessboard_size(picture)
         if size is not None:
             return (
                 f"found a {size[0]}x{size[1]} chessboard in {path.name}: did you mean chessboard:{size[0]}x{size[1]}?"

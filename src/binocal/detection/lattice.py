@@ -10,13 +10,15 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.xcorners import XCorners, _wrap, read_rings, saddle_response, sample
+from binocal.detection.regularity import fit_homography
+from binocal.detection.xcorners import SaddlePicture, XCorners, _wrap, read_rings, sample
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, Int
+    from jaxtyping import Float, Int
 
 _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # in the turning sense of the rays: x towards y
 MAX_TURN_RAD = np.radians(25)  # between an edge at a corner and the way to the neighbour; fisheye edges bend up to 15
@@ -27,6 +29,7 @@ MIN_BORDER_SHARE = 0.7
 # Perspective and fisheye lenses change the step from one row to the next by up to 0.2; margins narrower than a square
 # by more.
 MAX_STEP_BREAK = 0.28
+MIN_TO_JOIN = 12  # corners that fix a homography well enough to look two cells ahead
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,10 +57,40 @@ class Lattice:
         return max(rows, columns), min(rows, columns)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerGroup:
+    """Corners linked along their edges: indices, integer cells (column, row), turns of their rays, number of links."""
+
+    members: Int[ndarray, "m"]
+    cells: Int[ndarray, "m 2"]
+    turns: Int[ndarray, "m"]
+    n_links: int
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def is_whole(self, size: tuple[int, int] | None) -> bool:
+        """Whether it is a grid of ``size`` without holes and (nearly) without missing links."""
+        columns, rows = (int(n) for n in np.ptp(self.cells, axis=0) + 1)
+        n_edges = 2 * columns * rows - columns - rows
+        is_full = len(self) == columns * rows and self.n_links >= 0.97 * n_edges
+        return is_full and size == (max(columns, rows), min(columns, rows))
+
+
+def link_corners(saddles: SaddlePicture, corners: XCorners) -> list[CornerGroup]:
+    """The corners in connected groups, the largest first."""
+    if len(corners) < 2:
+        return []
+    neighbour, back_ray = _link(saddles.smooth, corners)
+    n_ends = (neighbour >= 0).sum(axis=1)
+    groups = [CornerGroup(*group, int(n_ends[group[0]].sum()) // 2) for group in _grow(neighbour, back_ray)]
+    return sorted(groups, key=lambda group: -len(group))
+
+
 def find_lattices(
-    smooth: Float32[ndarray, "h w"],
+    saddles: SaddlePicture,
     corners: XCorners,
-    radius_px: float,
+    groups: list[CornerGroup],
     *,
     least: int = 9,
     size: tuple[int, int] | None = None,
@@ -66,13 +99,16 @@ def find_lattices(
 
     With a ``size`` (corners along the longer and the shorter side) weak border rows are looked for until it is reached.
     """
-    if len(corners) < least:
-        return []
-    neighbour, back_ray = _link(smooth, corners)
     lattices = []
-    for members, cells, turns in _grow(neighbour, back_ray):
-        if len(members) < least:
+    joined = np.zeros(len(corners), bool)
+    for group in groups:
+        if len(group) < least or 2 * joined[group.members].sum() > len(group):
             continue
+        is_whole = group.is_whole(size)
+        members, cells, turns = group.members, group.cells, group.turns
+        if not is_whole:
+            members, cells = _join(corners, group)
+        joined[members] = True
         low = cells.min(axis=0)
         columns, rows = cells.max(axis=0) - low + 1
         if min(columns, rows) < 2 or columns * rows > 4 * len(members) + 16:
@@ -84,10 +120,13 @@ def find_lattices(
         # opposite.
         column, row = cells[0] - low
         is_bright_first = (turns[0] % 2 == 0) ^ bool((column + row) % 2)
-        grid = _fill(smooth, grid, is_bright_first, radius_px)
-        grid, is_bright_first = _trim(smooth, grid, is_bright_first)
+        if is_whole:
+            lattices.append(Lattice(grid[..., :2], not is_bright_first, float(np.median(grid[..., 2]))))
+            continue
+        grid = _fill(saddles, grid, is_bright_first)
+        grid, is_bright_first = _trim(saddles.smooth, grid, is_bright_first)
         if size is not None and 2 * len(members) > size[0] * size[1]:
-            grid, is_bright_first = _extend(smooth, grid, is_bright_first, radius_px, size)
+            grid, is_bright_first = _extend(saddles, grid, is_bright_first, size)
         lattices.append(Lattice(grid[..., :2], not is_bright_first, float(np.nanmedian(grid[..., 2]))))
     return sorted((lattice for lattice in lattices if lattice.n_seen >= least), key=lambda lattice: -lattice.n_seen)
 
@@ -97,13 +136,11 @@ def _link(smooth: ndarray, corners: XCorners) -> tuple[Int[ndarray, "n 4"], Int[
 
     Mutual links only.
     """
-    points = corners.points_px.astype(float)
+    points = corners.points_px
     n = len(points)
     k = min(N_NEIGHBOURS, n - 1)
-    distance2 = ((points[:, None] - points[None]) ** 2).sum(axis=-1)
-    np.fill_diagonal(distance2, np.inf)
-    near = np.argpartition(distance2, k - 1, axis=1)[:, :k]
-    near = np.take_along_axis(near, np.argsort(np.take_along_axis(distance2, near, 1), axis=1), 1)
+    # Brute force in C++; the nearest to each corner is itself.
+    near = cv2.batchDistance(points, points, cv2.CV_32F, K=k + 1, normType=cv2.NORM_L2SQR)[1][:, 1:].astype(int)
     way = points[near] - points[:, None]
     heading = np.arctan2(way[..., 1], way[..., 0])
     length = np.hypot(way[..., 0], way[..., 1])
@@ -113,16 +150,16 @@ def _link(smooth: ndarray, corners: XCorners) -> tuple[Int[ndarray, "n 4"], Int[
     contrast = np.minimum(corners.contrast_dn[:, None], corners.contrast_dn[near])
     is_link = (turn.min(axis=2) < MAX_TURN_RAD) & (turn_back.min(axis=2) < MAX_TURN_RAD)
     is_link &= (ray % 2) != (back % 2)  # the bright side of an edge is the same seen from both ends
-    is_link &= contrast > 0.35 * np.maximum(corners.contrast_dn[:, None], corners.contrast_dn[near])
+    is_link &= contrast > 0.15 * np.maximum(corners.contrast_dn[:, None], corners.contrast_dn[near])
     who, slot = np.nonzero(is_link)
     sign = np.where(ray[who, slot] % 2 == 0, 1.0, -1.0)
     is_edge = _follow_edge(smooth, points[who], way[who, slot], length[who, slot], sign, contrast[who, slot])
     who, slot = who[is_edge], slot[is_edge]
     neighbour = np.full((n, 4), -1)
     back_ray = np.full((n, 4), -1)
-    for i in range(len(who) - 1, -1, -1):  # slots rise with distance: the nearest is written last
-        neighbour[who[i], ray[who[i], slot[i]]] = near[who[i], slot[i]]
-        back_ray[who[i], ray[who[i], slot[i]]] = back[who[i], slot[i]]
+    who, slot = who[::-1], slot[::-1]  # slots rise with distance: the nearest is written last
+    neighbour[who, ray[who, slot]] = near[who, slot]
+    back_ray[who, ray[who, slot]] = back[who, slot]
     has = neighbour >= 0
     is_mutual = np.zeros_like(has)
     is_mutual[has] = neighbour[neighbour[has], back_ray[has]] == np.nonzero(has)[0]
@@ -178,16 +215,62 @@ def _grow(neighbour: ndarray, back_ray: ndarray) -> list[tuple[ndarray, ndarray,
     return groups
 
 
-def _fill(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float, *, least: int = 2) -> ndarray:
+def _join(corners: XCorners, group: CornerGroup) -> tuple[Int[ndarray, "k"], Int[ndarray, "k 2"]]:
+    """The group with corners beyond gaps in it: those that its homography puts on free cells, with the right colours.
+
+    A shadow's border, or a blurred strip, breaks the links between two parts of one board. At most two cells are
+    bridged at a time, so that the lens's distortion stays within the fifth of a cell that is allowed.
+    """
+    members, cells, turns = group.members, group.cells, group.turns
+    extent = np.ptp(cells, axis=0) + 1
+    if len(members) < MIN_TO_JOIN or extent.min() < 3:
+        return members, cells
+    parity_of_first = (turns[0] + cells[0].sum()) % 2  # of ray 0's turn at even cells
+    is_free = np.ones(len(corners), bool)
+    is_free[members] = False
+    for _ in range(4):
+        H = fit_homography(cells.astype(float), corners.points_px[members].astype(float))
+        free = np.nonzero(is_free)[0]
+        if len(free) == 0 or not np.isfinite(H).all():
+            break
+        points = corners.points_px[free].astype(float)
+        back = np.linalg.inv(H)
+        homogeneous = points @ back[:, :2].T + back[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = homogeneous[:, :2] / homogeneous[:, 2:]
+        side = (cells @ H[2, :2] + H[2, 2]).mean()
+        near = np.rint(np.clip(np.nan_to_num(uv, nan=1e6, posinf=1e6, neginf=-1e6), -1e6, 1e6))
+        is_near = (np.abs(uv - near) < 0.2).all(axis=1) & (homogeneous[:, 2] * side > 0)
+        is_near &= ((near >= cells.min(axis=0) - 2) & (near <= cells.max(axis=0) + 2)).all(axis=1)
+        # The direction of the step to the next column, from the homography's derivative.
+        w = near @ H[2, :2] + H[2, 2]
+        step = H[:2, 0] - points * H[2, 0]
+        heading = np.arctan2(step[:, 1] * np.sign(w), step[:, 0] * np.sign(w))
+        turn = np.abs(_wrap(heading[:, None] - corners.rays_rad[free]))
+        ray = turn.argmin(axis=1)
+        is_near &= (turn.min(axis=1) < MAX_TURN_RAD) & ((ray + near.sum(axis=1)) % 2 == parity_of_first)
+        new, places = free[is_near], near[is_near].astype(int)
+        taken = {tuple(cell) for cell in cells.tolist()}
+        chosen = [i for i, cell in enumerate(map(tuple, places.tolist())) if cell not in taken and not taken.add(cell)]
+        if not chosen:
+            break
+        members, cells = np.r_[members, new[chosen]], np.concatenate([cells, places[chosen]])
+        is_free[new[chosen]] = False
+    return members, cells
+
+
+def _fill(saddles: SaddlePicture, grid: ndarray, is_bright_first: bool, *, least: int = 2) -> ndarray:
     """The grid with holes filled where it predicts corners: half the contrast will do, most edges must be seen."""
     for _ in range(3):
+        if np.isfinite(grid[..., 0]).all():
+            break
         predicted, spacing = predict_missing(grid[..., :2], least=least)
         rows, columns = np.nonzero(np.isfinite(predicted[..., 0]))
         if len(rows) == 0:
             break
         trial = grid.copy()
-        trial[rows, columns] = _search(smooth, predicted[rows, columns], spacing[rows, columns], radius_px)
-        along_row, along_column = _see_edges(smooth, trial, is_bright_first)
+        trial[rows, columns] = _search(saddles, predicted[rows, columns], spacing[rows, columns])
+        along_row, along_column = _see_edges(saddles.smooth, trial, is_bright_first)
         is_found = np.isfinite(trial[..., 0]) & ~np.isfinite(grid[..., 0])
         is_found &= _count_neighbours(along_row, along_column, 1) > _count_neighbours(along_row, along_column, -1)
         if not is_found.any():
@@ -197,7 +280,7 @@ def _fill(smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: floa
 
 
 def _extend(
-    smooth: ndarray, grid: ndarray, is_bright_first: bool, radius_px: float, size: tuple[int, int]
+    saddles: SaddlePicture, grid: ndarray, is_bright_first: bool, size: tuple[int, int]
 ) -> tuple[ndarray, bool]:
     """The grid with weak border rows and columns added, as long as it stays within ``size`` (larger number first)."""
     while True:
@@ -210,8 +293,8 @@ def _extend(
             pad[side // 2] = (1, 0) if side % 2 == 0 else (0, 1)
             trial = np.pad(grid, pad, constant_values=np.nan)
             is_bright = is_bright_first ^ (side % 2 == 0)
-            trial = _fill(smooth, trial, is_bright, radius_px, least=1)
-            share = _border_shares(smooth, trial, is_bright)[side]
+            trial = _fill(saddles, trial, is_bright, least=1)
+            share = _border_shares(saddles.smooth, trial, is_bright)[side]
             if share > best_share:
                 best_share, best = share, (trial, is_bright)
         if best is None or best_share < MIN_BORDER_SHARE:
@@ -286,25 +369,30 @@ def predict_missing(
     return np.where(is_open[..., None], mean, np.nan), spacing
 
 
-def _search(smooth: ndarray, predicted: ndarray, spacing: ndarray, radius_px: float) -> Float[ndarray, "n 3"]:
+def _search(saddles: SaddlePicture, predicted: ndarray, spacing: ndarray) -> Float[ndarray, "n 3"]:
     """The X-corner (x, y, contrast) at the strongest saddle within 0.25 spacings of each prediction, or NaN."""
-    height, width = smooth.shape
-    rim = int(np.ceil(radius_px)) + 1
-    centres = np.full((len(predicted), 2), np.nan)
-    for i, ((x, y), step) in enumerate(zip(predicted, spacing, strict=True)):
-        reach = max(1, round(0.25 * step))
-        left, right = max(round(x) - reach, rim), min(round(x) + reach, width - 1 - rim)
-        top, bottom = max(round(y) - reach, rim), min(round(y) + reach, height - 1 - rim)
-        if left > right or top > bottom:
-            continue
-        response = saddle_response(smooth[top - 1 : bottom + 2, left - 1 : right + 2])[1:-1, 1:-1]
-        row, column = np.unravel_index(response.argmax(), response.shape)
-        if response[row, column] > 0:
-            centres[i] = left + column, top + row
+    height, width = saddles.response.shape
+    rim = int(np.ceil(saddles.radius_px)) + 1
+    reach = np.maximum(1, np.rint(0.25 * spacing)).astype(int)
+    step = np.arange(-reach.max(), reach.max() + 1)
+    at = np.rint(predicted).astype(int)
+    columns, rows = at[:, :1] + step, at[:, 1:] + step
+    is_far = np.abs(step) > reach[:, None]
+    is_column = ~is_far & (columns >= rim) & (columns < width - rim)
+    is_row = ~is_far & (rows >= rim) & (rows < height - rim)
+    columns, rows = np.clip(columns, 0, width - 1), np.clip(rows, 0, height - 1)
+    window = saddles.response[rows[:, :, None], columns[:, None, :]]
+    window = np.where(is_row[:, :, None] & is_column[:, None, :], window, 0).reshape(len(at), -1)
+    best = window.argmax(axis=1)
+    each = np.arange(len(at))
+    index = np.nonzero(window[each, best] > 0)[0]
+    row, column = np.divmod(best[index], len(step))
+    centres = np.stack([columns[index, column], rows[index, row]], axis=-1)
     found = np.full((len(predicted), 3), np.nan)
-    index = np.nonzero(np.isfinite(centres[:, 0]))[0]
-    is_corner, _, contrast = read_rings(smooth, centres[index], radius_px, min_contrast_dn=3.0)
-    found[index[is_corner], :2] = centres[index[is_corner]]
+    is_corner, _, contrast = read_rings(
+        saddles.smooth, centres, saddles.radius_px, min_contrast_dn=3.0, max_unlikeness=0.6
+    )
+    found[index[is_corner], :2] = centres[is_corner]
     found[index[is_corner], 2] = contrast[is_corner]
     return found
 
@@ -322,7 +410,7 @@ def _trim(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> tuple[ndarra
 
 
 def _border_shares(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> list[float]:
-    """Share of edges seen along the top, bottom, left and right border row.
+    """Share of edges seen along the top, bottom, left and right border row; 1 where none is missing between two corners.
 
     0 where half of the row's corners is missing, or where the step to it breaks with the step before it.
     """
@@ -334,7 +422,8 @@ def _border_shares(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> lis
         (grid.transpose(1, 0, 2), along_column[:, 0]),
         (grid.transpose(1, 0, 2)[::-1], along_column[:, -1]),
     ):
-        share = np.count_nonzero(edges > 0) / len(edges)
+        seen, known = np.count_nonzero(edges > 0), np.count_nonzero(edges)
+        share = 1.0 if seen == known >= 0.4 * len(edges) else seen / len(edges)
         if np.isfinite(turned[0, :, 0]).mean() < 0.5 or _step_break(turned[..., :2]) > MAX_STEP_BREAK:
             share = 0.0
         shares.append(share)
@@ -353,7 +442,7 @@ def _step_break(grid: ndarray) -> float:
     return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
 
 
-def continues_beyond(smooth: Float32[ndarray, "h w"], lattice: Lattice, radius_px: float) -> bool:
+def continues_beyond(saddles: SaddlePicture, lattice: Lattice) -> bool:
     """Whether the lattice goes on beyond one of its borders: the printed board is larger than the lattice.
 
     A row counts where every corner and every edge of it is seen, with the lattice's own contrast; margins that are
@@ -362,14 +451,29 @@ def continues_beyond(smooth: Float32[ndarray, "h w"], lattice: Lattice, radius_p
     """
     contrast = np.where(np.isfinite(lattice.points_px[..., :1]), lattice.contrast_dn, np.nan)
     grid = np.concatenate([lattice.points_px, contrast], axis=-1)
-    for side in range(4):
+    for side in _sides_to_try(saddles, grid):
         pad = [(0, 0), (0, 0), (0, 0)]
         pad[side // 2] = (1, 0) if side % 2 == 0 else (0, 1)
         is_bright = (not lattice.is_dark_first) ^ (side % 2 == 0)
-        trial = _fill(smooth, np.pad(grid, pad, constant_values=np.nan), is_bright, radius_px, least=1)
+        trial = _fill(saddles, np.pad(grid, pad, constant_values=np.nan), is_bright, least=1)
         line = (trial[0], trial[-1], trial[:, 0], trial[:, -1])[side]
         ratio = line[:, 2] / lattice.contrast_dn
         is_alike = bool(np.all((ratio > 0.65) & (ratio < 1.5)))  # False where a corner is missing
-        if is_alike and _border_shares(smooth, trial, is_bright)[side] == 1:
+        if is_alike and _border_shares(saddles.smooth, trial, is_bright)[side] == 1:
             return True
     return False
+
+
+def _sides_to_try(saddles: SaddlePicture, grid: ndarray) -> list[int]:
+    """The sides (top, bottom, left, right) beyond which half of the next row's corners are seen at the first look."""
+    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    predicted, spacing = predict_missing(padded[..., :2], least=1)
+    predicted[1:-1, 1:-1] = np.nan
+    rows, columns = np.nonzero(np.isfinite(predicted[..., 0]))
+    if len(rows) == 0:
+        return []
+    is_seen = np.zeros(predicted.shape[:2], bool)
+    found = _search(saddles, predicted[rows, columns], spacing[rows, columns])
+    is_seen[rows, columns] = np.isfinite(found[:, 0])
+    lines = (is_seen[0], is_seen[-1], is_seen[:, 0], is_seen[:, -1])
+    return [side for side, line in enumerate(lines) if 2 * line.sum() >= len(line) - 2]

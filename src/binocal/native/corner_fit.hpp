@@ -38,6 +38,7 @@ constexpr double kMinRadius = 2.5;
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
 constexpr int kMaxEvaluations = 25;
+constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened picture's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
 
@@ -340,6 +341,7 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
         for (int i : {kAngle1, kAngle2}) shrink = std::min(shrink, 0.4 / std::max(1e-9, std::fabs(step[i])));
         for (int i : {kBlur1, kBlur2}) shrink = std::min(shrink, 0.7 / std::max(1e-9, std::fabs(step[i])));
         for (int i = 0; i < kParameters; ++i) next[i] = p[i] + shrink * step[i];
+        for (int i : {kBlur1, kBlur2}) next[i] = std::max(next[i], kLeastLogBlur);
         next[kTone] = std::min(0.45, std::max(-0.45, next[kTone]));
         if (std::hypot(next[kX] - input.x, next[kY] - input.y) > most || room(next[kX], next[kY]) < region.radius) {
             if (room(next[kX], next[kY]) < region.radius && room(next[kX], next[kY]) >= kMinRadius)
@@ -352,8 +354,8 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
         double moved = shrink * std::hypot(step[kX], step[kY]);
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (next_cost <= cost * (1 + 1e-6) || (moved < 0.05 && next_cost < cost * (1 + 3e-3))) {
-            is_done = moved < 0.008 && shrink == 1 && damping < 0.1 && std::fabs(step[kBlur1]) < 0.05 &&
-                      std::fabs(step[kBlur2]) < 0.05;
+            is_done = moved < 0.008 && shrink == 1 && damping < 0.1 && (std::fabs(step[kBlur1]) < 0.05 || next[kBlur1] == kLeastLogBlur) &&
+                      (std::fabs(step[kBlur2]) < 0.05 || next[kBlur2] == kLeastLogBlur);
             std::copy(next, next + kParameters, p);
             current = trial;
             cost = next_cost;
@@ -375,8 +377,7 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     if (!is_done) return failed;
     double blur1 = std::exp(p[kBlur1]), blur2 = std::exp(p[kBlur2]);
     double skew = std::fabs(std::sin(p[kAngle1] - p[kAngle2]));
-    if (!(std::fabs(p[kContrast]) > 0.2) || skew < 0.17 || std::max(blur1, blur2) > region.radius + 0.5 ||
-        std::min(blur1, blur2) < 0.1)
+    if (!(std::fabs(p[kContrast]) > 0.2) || skew < 0.17 || std::max(blur1, blur2) > region.radius + 0.5)
         return failed;
 
     double A[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];

@@ -1,0 +1,109 @@
+"""Real pictures to a rig: baselines, residuals no higher than OpenCV's, and culprits named. No setting is tuned per set."""
+
+import cv2
+import numpy as np
+import pytest
+
+from binocal import app
+from binocal.boards import parse_board
+from binocal.calibrators import calibrate
+from binocal.errors import BinocalError
+
+pytestmark = [pytest.mark.data, pytest.mark.slow]
+
+SETS = {
+    # folder: left, right, board, baseline (mm; squares where the size is unknown), least views used
+    "opencv_bouguet": ("left*.jpg", "right*.jpg", "chessboard:9x6:30mm", 99.89, 13),
+    "boof_bumblebee2_chess": ("left*", "right*", "chessboard:6x4:30mm", 120.49, 11),
+    "rursprung_charuco": ("left", "right", "charuco:11x8:30mm:22mm:DICT_5X5_50", 75.35, 30),
+    "sourishg_webcam_640": ("left*", "right*", "chessboard:9x6:24.23mm", 94.05, 29),
+    "sourishg_webcam_270x180": ("left*", "right*", "chessboard:9x6:24.23mm", 94.00, 28),
+    "presentcjn_cb11x8": ("left*", "right*", "chessboard:11x8:12mm", 49.33, 29),
+    "stereopi_fisheye": ("left*", "right*", "chessboard:9x6:25mm", 64.60, 25),
+    # The table's 6.09 holds OpenCV's intrinsics fixed and moves by 1.2 % with the corner window alone; OpenCV's joint
+    # solve gives 6.020 on the same corners, and so do we, with a standard deviation of 0.014.
+    "nico_tablet_a": ("imageL*", "imageR*", "chessboard:9x6", 6.020, 6),
+}
+
+
+def run_set(data_dir, name, model="auto"):
+    left, right, spec, *_ = SETS[name]
+    folder = data_dir / name
+    return app.calibrate_pictures(
+        str(folder / left), str(folder / right), parse_board(spec), app.CalibrateOptions(model=model)
+    ).calibration
+
+
+def opencv_stereo_rms(detections):
+    """OpenCV on the very corners that were used: five coefficients per camera, then the pair with intrinsics fixed."""
+    points = detections.object_points_m.astype(np.float32)
+    cameras = []
+    for px in (detections.left_px, detections.right_px):
+        views = [np.isfinite(view[:, 0]) for view in px]
+        views = [(view, seen) for view, seen in zip(px, views, strict=True) if seen.sum() > 5]
+        _, K, d, _, _ = cv2.calibrateCamera(
+            [points[seen] for _, seen in views],
+            [view[seen].astype(np.float32) for view, seen in views],
+            detections.left_size_wh,
+            None,
+            None,
+        )
+        cameras += [K, d]
+    both = detections.left_is_seen & detections.right_is_seen
+    use = [i for i in range(detections.n_views) if both[i].sum() > 5]
+    return cv2.stereoCalibrate(
+        [points[both[i]] for i in use],
+        [detections.left_px[i][both[i]].astype(np.float32) for i in use],
+        [detections.right_px[i][both[i]].astype(np.float32) for i in use],
+        *cameras,
+        detections.left_size_wh,
+        flags=cv2.CALIB_FIX_INTRINSIC,
+    )[0]
+
+
+@pytest.mark.parametrize("name", list(SETS))
+def test_a_real_set_calibrates_by_one_call(data_dir, name):
+    *_, baseline, n_views = SETS[name]
+    calibration = run_set(data_dir, name)
+    scale = 1e3 if calibration.rig.is_metric else 1.0
+    assert scale * calibration.rig.baseline_m == pytest.approx(baseline, rel=0.005)
+    assert len(calibration.views) >= n_views
+    assert all(r.reason for r in calibration.rejected)
+    assert "reason" in calibration.provenance["model_choice"]
+
+
+@pytest.mark.parametrize("name", list(SETS))
+def test_residuals_are_no_higher_than_opencv_on_the_same_corners_and_model(data_dir, name):
+    calibration = run_set(data_dir, name, "brown5")
+    assert calibration.rms.all_px <= 1.001 * opencv_stereo_rms(calibration.evidence.detections)
+
+
+def test_exchanged_cameras_are_said_and_calibrated(data_dir):
+    folder = data_dir / "barry_swapped"
+    calibration = app.calibrate_pictures(
+        str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:9x6")
+    ).calibration
+    assert calibration.rig.is_swapped and calibration.rig.T_right_left.t[0] == pytest.approx(3.83, rel=0.01)
+    assert any("exchange --left and --right" in warning for warning in calibration.warnings)
+
+
+@pytest.mark.parametrize("board", ["chessboard:11x7:99.5mm", "chessboard:7x5:99.5mm"])
+def test_a_room_of_boards_is_recognised(data_dir, board):
+    folder = data_dir / "kitti_calib_room"
+    with pytest.raises(BinocalError, match="more than one board"):
+        app.calibrate_pictures(str(folder / "left*"), str(folder / "right*"), parse_board(board))
+
+
+def test_heat_maps_are_refused_view_by_view(data_dir):
+    folder = data_dir / "thermal_stereo_aditya" / "heatmap"
+    with pytest.raises(BinocalError, match="principal point") as caught:
+        app.calibrate_pictures(str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:7x6"))
+    assert len(caught.value.rejected) == 16 and all(caught.value.rejected.values())
+
+
+def test_the_same_corners_give_the_same_rig_twice(data_dir):
+    calibration = run_set(data_dir, "nico_tablet_a", "brown4")
+    again = calibrate(calibration.evidence.detections, model="brown4")
+    assert np.array_equal(
+        again.rig.T_right_left.t, calibrate(calibration.evidence.detections, model="brown4").rig.T_right_left.t
+    )
