@@ -16,7 +16,7 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.markers import find_markers, get_dictionary, to_8_bit
-from binocal.detection.refinement import corner_covariance, refine_corners
+from binocal.detection.refinement import corner_covariance, measure_corners, refine_corners
 from binocal.detection.regularity import find_irregular, grid_residuals
 from binocal.detection.xcorners import read_rings
 
@@ -134,6 +134,18 @@ def _measure(
     # The window ends where the small square or the tag's code begins.
     room = 0.75 * min(board.tag_gap_ratio, border_bits / (6 + 2 * border_bits))
     points = refine_corners(grey, rough, side, per_spacing=room)
+    seen = np.isfinite(points[:, 0])
+    border = border_bits / (6 + 2 * border_bits)
+    radius = max(2.0, 0.5 * float(np.nanmedian(side)) * min(board.tag_gap_ratio, border))
+    touches = bool(seen.any()) and read_rings(stretched, points[seen], radius)[0].mean() >= 0.5
+    if touches:
+        start = np.where(seen[:, None], points, rough)
+        xy = board.object_points_m[:, :2]
+        points, covariance = measure_corners(
+            grey, start, xy, board.tag_gap_ratio * side, border * side, per_reach=room / board.tag_gap_ratio
+        )
+    else:
+        covariance = corner_covariance(grey, points, side, per_spacing=room) + L_CORNER_BIAS_PX**2 * np.eye(2)
     points[np.linalg.norm(points - rough, axis=1) > np.maximum(0.15 * side, 2.5)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= 4:
@@ -145,12 +157,8 @@ def _measure(
         return not_found(
             n, f"only {seen.sum()} tag corners could be measured; the picture is too blurred or the tags are too small"
         )
-    covariance = corner_covariance(grey, points, side, per_spacing=room)
+    covariance[~seen] = np.nan
     note = ""
-    radius = max(
-        2.0, 0.5 * float(np.median(side[seen])) * min(board.tag_gap_ratio, border_bits / (6 + 2 * border_bits))
-    )
-    if read_rings(stretched, points[seen], radius)[0].mean() < 0.5:
-        covariance = covariance + L_CORNER_BIAS_PX**2 * np.eye(2)
+    if not touches:
         note = "the tags' corners touch no black squares, which costs accuracy (about 0.1 px); Kalibr's print has them"
     return FoundBoard(points, covariance, note=note)

@@ -12,7 +12,7 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.markers import apply_homography, find_markers, get_dictionary, to_8_bit
-from binocal.detection.refinement import corner_covariance, refine_corners
+from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import find_irregular, grid_residuals
 from binocal.detection.xcorners import read_rings
 
@@ -115,11 +115,13 @@ def _prove_layout(board: Board, readings: dict[str, _Reading]) -> Layout:
 
 
 def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, reading: _Reading) -> FoundBoard:
-    predicted, spacing = _predict(board, quads, reading)
-    # The window ends before the blurred edge of the markers begins: one that reached 0.38 squares tripled the residuals
-    # of a real set (640x480, squares of 20-40 px).
-    room = 0.45 * (1 - board.marker_m / board.pitch_m)
-    points = refine_corners(grey, predicted, spacing, per_spacing=room)
+    predicted, spacing, height = _predict(board, quads, reading)
+    # The fit's bands end before the blurred edge of the markers begins: a window that reached 0.38 squares tripled the
+    # residuals of a real set (640x480, squares of 20-40 px).
+    margin = 0.5 * (1 - board.marker_m / board.pitch_m)
+    points, covariance = measure_corners(
+        grey, predicted, board.object_points_m[:, :2], height, margin * height, per_reach=0.9 * margin
+    )
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
     points[~_are_x_corners(stretched, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
@@ -133,7 +135,8 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
             board.n_points,
             f"only {seen.sum()} corners seen beside {len(quads)} markers; at least {MIN_CORNERS} off one line needed",
         )
-    return FoundBoard(points, corner_covariance(grey, points, spacing, per_spacing=room))
+    covariance[~seen] = np.nan
+    return FoundBoard(points, covariance)
 
 
 def _span_plane(xy: Float[ndarray, "n 2"]) -> bool:
@@ -142,8 +145,10 @@ def _span_plane(xy: Float[ndarray, "n 2"]) -> bool:
     return bool(len(xy) >= 2 and values[1] > 0.1 * values[0])
 
 
-def _predict(board: Board, quads: ndarray, reading: _Reading) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"]]:
-    """Where each corner must be by the markers beside it, and the square's side there.
+def _predict(
+    board: Board, quads: ndarray, reading: _Reading
+) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """Where each corner must be by the markers beside it, and the square's shortest side and least height there.
 
     NaN without a marker, or where two disagree.
     """
@@ -154,20 +159,25 @@ def _predict(board: Board, quads: ndarray, reading: _Reading) -> tuple[Float[nda
     outer = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     guesses: list[list[ndarray]] = [[] for _ in range(columns * rows)]
     sides: list[list[float]] = [[] for _ in range(columns * rows)]
+    heights: list[list[float]] = [[] for _ in range(columns * rows)]
     for (x, y), quad in zip(reading.squares, quads, strict=True):
         H = cv2.getPerspectiveTransform(inner, quad.astype(np.float32))
         square = apply_homography(H, outer)
-        side = float(np.linalg.norm(square - np.roll(square, -1, axis=0), axis=1).min())
+        lengths = np.linalg.norm(square - np.roll(square, -1, axis=0), axis=1)
+        diagonals = square[2] - square[0], square[3] - square[1]
+        area = 0.5 * abs(diagonals[0][0] * diagonals[1][1] - diagonals[0][1] * diagonals[1][0])
         for corner, (dx, dy) in zip(square, outer.astype(int), strict=True):
             column, row = x + dx - 1, y + dy - 1
             if 0 <= column < columns and 0 <= row < rows:
                 guesses[row * columns + column].append(corner)
-                sides[row * columns + column].append(side)
+                sides[row * columns + column].append(float(lengths.min()))
+                heights[row * columns + column].append(float(area / lengths.max()))
     predicted, spacing = np.full((columns * rows, 2), np.nan), np.full(columns * rows, np.nan)
+    height = spacing.copy()
     for i, (points, lengths) in enumerate(zip(guesses, sides, strict=True)):
         if points and np.ptp(points, axis=0).max() < 0.25 * min(lengths):
-            predicted[i], spacing[i] = np.mean(points, axis=0), min(lengths)
-    return predicted, spacing
+            predicted[i], spacing[i], height[i] = np.mean(points, axis=0), min(lengths), min(heights[i])
+    return predicted, spacing, height
 
 
 def _are_x_corners(stretched: ndarray, points: ndarray, spacing: ndarray) -> Bool[ndarray, "n"]:

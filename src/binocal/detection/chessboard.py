@@ -13,7 +13,7 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices, link_corners
-from binocal.detection.refinement import corner_covariance, refine_corners
+from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import find_irregular
 from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings, sample
 
@@ -206,6 +206,24 @@ def _spacing(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows col
     return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
+def _reach(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows columns"]:
+    """Distance from each corner to the nearest grid line that does not pass through it; NaN without neighbours."""
+    rows, columns = grid.shape[:2]
+    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    steps = {
+        (dy, dx): padded[1 + dy : rows + 1 + dy, 1 + dx : columns + 1 + dx] - grid
+        for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0))
+    }
+    distances = []
+    for across, along in (((0, 1), (1, 0)), ((1, 0), (0, 1))):
+        for step in (steps[across], steps[-across[0], -across[1]]):
+            for line in (steps[along], steps[-along[0], -along[1]]):
+                cross = np.abs(step[..., 0] * line[..., 1] - step[..., 1] * line[..., 0])
+                distances.append(cross / np.maximum(np.linalg.norm(line, axis=-1), 1e-9))
+    nearest = np.fmin.reduce(distances)
+    return np.where(nearest > 0, nearest, np.nan)
+
+
 def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice: Lattice, level: _Level) -> FoundBoard:
     """Orient, refine at full resolution and check a lattice of the board's size."""
     rivals = _boards(level.lattices, lattice)[1:]
@@ -220,7 +238,7 @@ def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice
     grid = (_orient(lattice, board) + 0.5) / level.scale - 0.5
     spacing = _spacing(grid).ravel()
     coarse = localize_saddles(picture, grid.reshape(-1, 2), spacing)
-    points = refine_corners(grey, coarse, spacing)
+    points, covariance = measure_corners(grey, coarse, board.object_points_m[:, :2], _reach(grid).ravel())
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
     points[_are_faint(level.saddles.smooth, (points + 0.5) * level.scale - 0.5, spacing * level.scale)] = np.nan
     seen = np.isfinite(points[:, 0])
@@ -239,7 +257,8 @@ def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice
         notes.append(f"{seen.sum()} of {board.n_points} corners seen")
     if rivals:
         notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the picture")
-    return FoundBoard(points, corner_covariance(grey, points, spacing), note="; ".join(notes))
+    covariance[~seen] = np.nan
+    return FoundBoard(points, covariance, note="; ".join(notes))
 
 
 def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2"], is_dark_first: bool) -> bool:

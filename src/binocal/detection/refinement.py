@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
+from binocal.detection.corner_fit import fit_corners
+
 if TYPE_CHECKING:
     from jaxtyping import Float
 
@@ -19,6 +21,38 @@ EFFICIENCY_LOSS = (
     3.0  # cornerSubPix over the bound; 2.6 to 3.7 on simulated corners with blur 0.6 to 1.5 px, noise 1 to 5
 )
 FLOOR_PX = 0.015  # its bias on exact corners
+
+
+def measure_corners(
+    grey: ndarray,
+    points_px: Float[ndarray, "n 2"],
+    board_xy: Float[ndarray, "n 2"],
+    reach_px: Float[ndarray, "n"],
+    strip_px: Float[ndarray, "n"] | None = None,
+    *,
+    per_reach: float = WINDOW_PER_SPACING,
+) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2 2"]]:
+    """Corners and covariances by the maximum-likelihood fit, from starts within some pixels.
+
+    See :func:`binocal.detection.corner_fit.fit_corners` for ``reach_px`` and ``strip_px``. Where no saddle can be fitted
+    from the start it is tried again from cornerSubPix's corner, whose half-window is ``per_reach`` times the reach; where
+    that fails too (squares hardly wider than the blur) cornerSubPix's corner is taken, with its own, larger, covariance.
+    A corner whose surroundings contradict the model (covered, glare) is NaN.
+    """
+    fitted = fit_corners(grey, points_px, reach_px, strip_px, board_xy=board_xy)
+    is_open = ~np.isfinite(fitted.misfit) & np.isfinite(points_px[:, 0]) & np.isfinite(reach_px)
+    if not is_open.any():
+        return fitted.points_px, fitted.covariance_px2
+    rough = np.where(is_open[:, None], points_px, np.nan)
+    again = refine_corners(grey, rough, reach_px, per_spacing=per_reach)
+    start = np.where(np.isfinite(again), again, points_px)
+    fitted = fit_corners(grey, start, reach_px, strip_px, board_xy=board_xy)
+    points, covariance = fitted.points_px.copy(), fitted.covariance_px2.copy()
+    is_plain = np.isfinite(again[:, 0]) & ~np.isfinite(fitted.misfit)
+    if is_plain.any():
+        points[is_plain] = again[is_plain]
+        covariance[is_plain] = corner_covariance(grey, again, reach_px, per_spacing=per_reach)[is_plain]
+    return points, covariance
 
 
 def refine_corners(

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from binocal.detection.corner_fit import fit_corners
+
+SPEC = "chessboard:11x8:20mm"
+BIG = {"size_wh": (1280, 960), "distance": 1.3}
+
+
+def start_of(shot, seed=0, most_px=1.0):
+    return shot.corners_px + np.random.default_rng(seed).uniform(-most_px, most_px, shot.corners_px.shape)
+
+
+def fit_shot(shot, reach_px=40.0, **options):
+    points = start_of(shot)
+    return fit_corners(
+        shot.image, points, np.full(len(points), reach_px), board_xy=shot.board.object_points_m[:, :2], **options
+    )
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 0.8, 2.0])
+def test_no_bias_on_exact_pictures(shoot, blur_px):
+    shot = shoot(SPEC, blur_px=blur_px, noise_dn=0.0, bit_depth=16, **BIG)
+    error = fit_shot(shot).points_px - shot.corners_px
+    assert np.sqrt(np.mean(error**2)) < 5e-4  # measured 1e-4 to 2e-4
+    assert np.abs(error.mean(axis=0)).max() < 1e-4 and np.abs(error).max() < 2e-3
+
+
+def test_the_lens_bends_edges_and_the_fit_takes_it_out(shoot):
+    shot = shoot(SPEC, blur_px=0.8, noise_dn=0.0, bit_depth=16, **BIG)
+    bent = fit_corners(shot.image, start_of(shot), np.full(88, 40.0)).points_px - shot.corners_px
+    straight = fit_shot(shot).points_px - shot.corners_px
+    assert np.mean(straight**2) < 0.1 * np.mean(bent**2)  # measured 0.02
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"gamma": 2.2},
+        {"vignetting": 0.4},
+        {"motion_px": (1.6, 1.2)},
+        {"blur_kind": "disc", "blur_px": 1.5},
+        {"blur_px": 2.0, "noise_dn": 10.0},
+    ],
+    ids=str,
+)
+def test_stated_covariances_hold(shoot, options):
+    inside, scores = [], []
+    for seed in range(4):
+        shot = shoot(SPEC, seed=seed, **{"noise_dn": 3.0, **options}, **BIG)
+        fit = fit_shot(shot)
+        error = fit.points_px - shot.corners_px
+        whitened = np.linalg.solve(np.linalg.cholesky(fit.covariance_px2), error[..., None])[..., 0]
+        inside.append(np.mean(np.abs(whitened) < 1))
+        scores.append(np.mean(whitened**2))
+    assert 0.63 < np.mean(inside) < 0.73  # 704 draws: 68.3 % within 1.8 % at one sigma
+    assert 0.85 < np.mean(scores) < 1.15
+
+
+def test_a_covered_corner_is_dropped_and_a_dull_one_trusted_less(shoot):
+    shot = shoot(SPEC, noise_dn=2.0, **BIG)
+    image = shot.image.copy()
+    x, y = shot.corners_px[30].astype(int)
+    image[y + 2 : y + 20, x - 3 : x + 20] = 120  # a finger over the corner
+    x, y = shot.corners_px[60].astype(int)
+    part = image[y - 20 : y + 21, x - 20 : x + 21].astype(float)
+    image[y - 20 : y + 21, x - 20 : x + 21] = np.rint(110 + 0.2 * (part - 110))
+    x, y = shot.corners_px[45].astype(int)
+    image[y + 6 : y + 20, x + 6 : x + 20] = np.minimum(image[y + 6 : y + 20, x + 6 : x + 20].astype(int) + 9, 255)
+    shot = type(shot)(image, shot.board, shot.corners_px)
+    fit = fit_shot(shot)
+    assert np.isnan(fit.points_px[30]).all() and np.isnan(fit.covariance_px2[30]).all()
+    spread = np.sqrt(np.trace(fit.covariance_px2, axis1=1, axis2=2))
+    assert spread[60] > 3 * np.nanmedian(spread) and fit.contrast_dn[60] == pytest.approx(36, rel=0.1)
+    assert spread[45] > 1.2 * np.nanmedian(spread) and fit.misfit[45] > 1.5 > np.nanmedian(fit.misfit)
+
+
+def test_blur_contrast_and_noise_are_measured(shoot):
+    shot = shoot(SPEC, noise_dn=4.0, blur_px=1.3, **BIG)
+    fit = fit_shot(shot)
+    assert fit.noise_dn == pytest.approx(4, rel=0.03)
+    assert np.median(fit.blur_px) == pytest.approx(1.3, rel=0.02)
+    assert np.median(fit.contrast_dn) == pytest.approx(180, rel=0.01)
+
+
+def test_few_corners_are_fitted_without_their_neighbours(shoot):
+    shot = shoot(SPEC, noise_dn=1.0, **BIG)
+    few = fit_corners(shot.image, shot.corners_px[:4], np.full(4, 40.0), board_xy=shot.board.object_points_m[:4, :2])
+    assert np.abs(few.points_px - shot.corners_px[:4]).max() < 0.02
+    none = fit_corners(shot.image, np.zeros((0, 2)), np.zeros(0))
+    assert none.points_px.shape == (0, 2) and np.isnan(none.noise_dn)
+    nowhere = fit_corners(np.full((200, 200), 90, np.uint8), np.full((3, 2), 100.0), np.full(3, 30.0))
+    assert np.isnan(nowhere.points_px).all() and np.isnan(nowhere.covariance_px2).all()
