@@ -34,6 +34,19 @@ class PairDetections:
     detections: Any
     rejected: tuple[RejectedView, ...]
     notes: tuple[str, ...]
+    input_sha256: dict[str, str]
+
+
+@dataclass(frozen=True)
+class ViewSelection:
+    views: np.ndarray
+    n_views: int
+    depth_sigma: float
+    all_depth_sigma: float
+    misfits: tuple[str, ...] = ()
+
+    def sentence(self) -> str:
+        return f"{len(self.views)} of {self.n_views} views were chosen"
 
 
 @dataclass(frozen=True)
@@ -59,6 +72,7 @@ class Rooms:
         self.calls: dict[str, Any] = {}
         rooms = {
             "binocal.calibrators": {"calibrate": self._call_calibrate, "CALIBRATORS": {"lm": None}},
+            "binocal.calibrators.view_selection": {"select_views": self._select_views},
             "binocal.datasets": {},
             "binocal.datasets.folder": {"list_pairs": self._list_pairs},
             "binocal.detection": {"detect_pairs": self._detect_pairs},
@@ -85,7 +99,16 @@ class Rooms:
         self.calls["preprocess"] = preprocess
         if progress:
             progress(len(pairs), len(pairs))
-        return PairDetections(self.detections, self.rejected, ("left and right pictures differ in size",))
+        return PairDetections(
+            self.detections,
+            self.rejected,
+            ("left and right pictures differ in size",),
+            {"left": "0" * 64, "right": "1" * 64},
+        )
+
+    def _select_views(self, detections, most, **options):
+        self.calls["select_views"] = (detections.n_views, most, options["model"])
+        return ViewSelection(np.arange(0, 2 * most, 2), detections.n_views, 0.002, 0.001)
 
     def _call_calibrate(self, detections, **options):
         self.calls["calibrate"] = options

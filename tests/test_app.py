@@ -39,6 +39,16 @@ def test_a_calibration_says_what_became_of_every_file(rooms):
     assert len(provenance["input_sha256"]["left"]) == 64 and seen == [("finding corners", 6, 6)]
 
 
+def test_the_most_telling_views_are_used_and_the_cost_is_said(rooms):
+    run = app.calibrate_pictures("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=3))
+    assert rooms.calls["select_views"] == (6, 3, "brown4")
+    assert [view.name for view in run.calibration.views] == list(rooms.detections.names[:6:2])
+    assert run.notes[-1] == "3 of 6 views were chosen."
+    assert run.calibration.provenance["view_choice"]["depth_sigma"] == 0.002
+    every = app.calibrate_pictures("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=6))
+    assert len(every.calibration.views) == 6 and "view_choice" not in every.calibration.provenance
+
+
 def test_an_error_carries_what_was_dropped_before_it(rooms):
     def too_few(*_, **__):
         raise TooFewViewsError(2, 3, {"05": "mismatched pair"})

@@ -7,7 +7,6 @@ Each verb takes plain values, returns one, and neither prints nor reads the envi
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import platform
 import shutil
@@ -18,7 +17,6 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -45,13 +43,17 @@ SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the me
 
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """How to calibrate: method, camera model (``auto`` picks), skew, edge-strengthening of the pictures, seed."""
+    """How to calibrate: method, camera model (``auto`` picks), skew, edge-strengthening of the pictures, seed.
+
+    With ``max_views`` only the views that tell most about depth are used, at most so many.
+    """
 
     calibrator: str = "lm"
     model: str = "auto"
     skew: bool = False
     preprocess: bool = False
     seed: int = 0
+    max_views: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +134,32 @@ def calibrate_pictures(
     started = time.perf_counter()
     found = _detect(left, right, board, options.preprocess, progress, should_stop)
     detected = time.perf_counter()
+    notes, detections, choice = found.notes, found.detections, {}
     with _explained(found.ignored, found.rejected):
+        if options.max_views is not None and detections.n_views > options.max_views:
+            from binocal.calibrators.view_selection import select_views
+
+            selection = select_views(
+                detections,
+                options.max_views,
+                calibrator=options.calibrator,
+                model=options.model,
+                skew=options.skew,
+                seed=options.seed,
+            )
+            notes = (*notes, selection.sentence() + ".")
+            detections = detections.select(selection.views)
+            choice = {
+                "view_choice": {
+                    "max_views": options.max_views,
+                    "n_views": selection.n_views,
+                    "depth_sigma": selection.depth_sigma,
+                    "all_depth_sigma": selection.all_depth_sigma,
+                    "misfits": list(selection.misfits),
+                }
+            }
         calibration = calibrate(
-            found.detections,
+            detections,
             calibrator=options.calibrator,
             model=options.model,
             skew=options.skew,
@@ -152,11 +177,12 @@ def calibrate_pictures(
         "calibrator": options.calibrator,
         "seed": options.seed,
         "options": {"model": options.model, "skew": options.skew, "preprocess": options.preprocess},
-        "input_sha256": found.input_sha256,
+        "input_sha256": dict(found.input_sha256),
+        **choice,
     } | dict(calibration.provenance)
     calibration = replace(calibration, rejected=found.rejected + calibration.rejected, provenance=provenance)
     elapsed_s = {"pictures": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
-    return CalibrationRun(calibration, found.ignored, found.notes, elapsed_s)
+    return CalibrationRun(calibration, found.ignored, notes, elapsed_s)
 
 
 def simulate(
@@ -354,13 +380,7 @@ def _detect(
             should_stop=should_stop,
             preprocess=preprocess,
         )
-    sides = {
-        "left": [pair.left_path for pair in pairing.pairs],
-        "right": [pair.right_path for pair in pairing.pairs],
-    }
-    with ThreadPoolExecutor(2) as pool:
-        digests = dict(zip(sides, pool.map(_digest, sides.values()), strict=True))
-    return _Found(found.detections, tuple(found.rejected), ignored, tuple(found.notes), digests)
+    return _Found(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
 
 
 @contextlib.contextmanager
@@ -509,19 +529,6 @@ def _stage(stage: str, progress: Progress | None) -> Callable[[int, int], None] 
 
 def _prefixed(prefix: str, progress: Progress | None) -> Progress | None:
     return (lambda stage, done, total: progress(prefix + stage, done, total)) if progress else None
-
-
-def _digest(paths: Sequence[Any]) -> str:
-    """SHA-256 over names and contents of files, in order."""
-    digest = hashlib.sha256()
-    for path in paths:
-        digest.update(Path(path).name.encode() + b"\0")
-        with (
-            contextlib.suppress(OSError),
-            open(path, "rb") as file,
-        ):  # an unreadable picture was rejected by name before
-            digest.update(file.read())
-    return digest.hexdigest()
 
 
 def _opencv_version() -> str:

@@ -46,14 +46,14 @@ def test_a_lattice_has_the_boards_size_and_order(shoot):
     assert lattice.size == (9, 6) and lattice.n_seen == 54
     a, b = lattice.points_px[0, 1] - lattice.points_px[0, 0], lattice.points_px[1, 0] - lattice.points_px[0, 0]
     assert a[0] * b[1] - a[1] * b[0] > 0  # not mirrored
-    assert not continues_beyond(saddles, lattice)
+    assert not continues_beyond(saddles, find_x_corners(saddles), lattice)
 
 
 def test_a_part_of_a_board_is_seen_to_continue(shoot):
     saddles = saddles_of(shoot("chessboard:9x6:30mm").image)
     lattice = lattices_of(saddles)[0]
     part = type(lattice)(lattice.points_px[:, :-1], lattice.is_dark_first, lattice.contrast_dn)
-    assert continues_beyond(saddles, part)
+    assert continues_beyond(saddles, find_x_corners(saddles), part)
 
 
 def test_a_hole_is_predicted_from_its_neighbours():

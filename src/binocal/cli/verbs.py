@@ -99,6 +99,15 @@ def calibrate(
     preprocess: Annotated[
         bool, typer.Option("--preprocess", help="Filter the pictures and strengthen their edges first.")
     ] = False,
+    max_views: Annotated[
+        int | None,
+        typer.Option(
+            "--max-views",
+            help="Use at most N views, those that tell most about depth, and say what that costs.",
+            metavar="N",
+            min=3,
+        ),
+    ] = None,
     seed: Seed = 0,
     max_rms: Annotated[
         float | None, typer.Option("--max-rms", help="Exit with 4 if the RMS is above.", metavar="PX", min=0.0)
@@ -125,7 +134,7 @@ def calibrate(
     check_output(output, force=force)
     if opencv is not None:
         check_opencv_output(opencv, force=force)
-    options = verbs.CalibrateOptions(calibrator, model.value, skew, preprocess, seed)
+    options = verbs.CalibrateOptions(calibrator, model.value, skew, preprocess, seed, max_views)
     with progress_on_terminal() as progress:
         run = verbs.calibrate_pictures(left, right, parsed, options, progress=progress)
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)

@@ -6,6 +6,7 @@ So the container's own structure is walked first (:mod:`binocal.datasets.contain
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,7 +39,7 @@ def read_picture(path: str | PathLike[str]) -> Picture:
     Raises:
         FormatError: The file is missing, empty, truncated, no picture, or of an unsupported depth; the text says which.
     """
-    return _decode(path, as_grey=False)
+    return _decode(Path(path), _read_bytes(Path(path)), as_grey=False)
 
 
 def read_grey_picture(path: str | PathLike[str]) -> GreyPicture:
@@ -47,7 +48,17 @@ def read_grey_picture(path: str | PathLike[str]) -> GreyPicture:
     Raises:
         FormatError: As in :func:`read_picture`.
     """
-    return to_grey(_decode(path, as_grey=True))
+    return to_grey(_decode(Path(path), _read_bytes(Path(path)), as_grey=True))
+
+
+def read_hashed_grey_picture(path: str | PathLike[str]) -> tuple[GreyPicture, str]:
+    """As :func:`read_grey_picture`, and the SHA-256 of the file, which is read once for both.
+
+    Raises:
+        FormatError: As in :func:`read_picture`.
+    """
+    content = _read_bytes(Path(path))
+    return to_grey(_decode(Path(path), content, as_grey=True)), hashlib.sha256(content).hexdigest()
 
 
 def to_grey(image: Picture) -> GreyPicture:
@@ -70,11 +81,9 @@ def to_grey(image: Picture) -> GreyPicture:
     return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
 
 
-def _decode(path: str | PathLike[str], *, as_grey: bool) -> ndarray:
+def _decode(path: Path, content: bytes, *, as_grey: bool) -> ndarray:
     import cv2
 
-    path = Path(path)
-    content = _read_bytes(path)
     container = identify_container(content)
     if container is None:
         raise FormatError(path, f"is not a picture{_describe_content(content)}; {_REMEDY}")

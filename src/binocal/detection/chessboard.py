@@ -15,12 +15,13 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices, link_corners
 from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import find_irregular
-from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings, sample
+from binocal.detection.xcorners import SaddlePicture, XCorners, find_x_corners, localize_saddles, read_rings, sample
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
 
 MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
+SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
 _RIVAL_SPACING = (
     0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
@@ -32,6 +33,7 @@ class _Level:
     """One search: the lattices in a picture scaled by ``scale``, in that picture's pixels."""
 
     saddles: SaddlePicture
+    corners: XCorners
     scale: float
     lattices: list[Lattice]
 
@@ -57,7 +59,7 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
             most_seen = max(most_seen, exact[0].n_seen)
             if exact[0].n_seen >= least:
                 seen.append((exact[0], level))
-        if seen and (is_second_look or most_seen == board.n_points):
+        if seen and (is_second_look or most_seen >= SHARE_THAT_WILL_DO * board.n_points):
             # A finer look seldom shows more than the second.
             for lattice, where in sorted(seen, key=lambda candidate: -candidate[0].n_seen):
                 found = _finish(grey, picture, board, lattice, where)
@@ -130,13 +132,13 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
         corners = find_x_corners(saddles, most=most)
         groups = link_corners(saddles, corners)
         most_linked = max([most_linked, *map(len, groups[:1])])
-        yield _Level(saddles, 0.5**halved, find_lattices(saddles, corners, groups, least=least, size=size))
+        yield _Level(saddles, corners, 0.5**halved, find_lattices(saddles, corners, groups, least=least, size=size))
 
 
 def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
     """The searches in order: halvings of the picture, smoothing and ring radius in pixels of the halved picture.
 
-    The last number is how many linked corners earlier searches must have seen: chance links no more than four, and the
+    The last number is how many linked corners earlier searches must have seen: chance seldom links more than six, and the
     dear searches only help where squares are small, blurred or noisy, but seen in part.
     """
     if halvings == 0:
@@ -148,9 +150,9 @@ def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
         (halvings, 0.8, 2.6, 0),
         *middle,
         (1, 0.8, 2.6, 0),
-        (0, 1.5, 5.0, 5),
-        (halvings, 1.5, 5.0, 5),
-        (0, 1.0, 3.0, 5),
+        (0, 1.5, 5.0, 7),
+        (halvings, 1.5, 5.0, 7),
+        (0, 1.0, 3.0, 7),
     ]
 
 
@@ -229,7 +231,7 @@ def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice
     rivals = _boards(level.lattices, lattice)[1:]
     if len(rivals) > 1 or any(rival.size == lattice.size for rival in rivals):
         return _several(board, [lattice, *rivals])
-    if continues_beyond(level.saddles, lattice):
+    if continues_beyond(level.saddles, level.corners, lattice):
         return _too_large(board, None)
     if _are_squares_patterned(level.saddles.smooth, lattice.points_px, lattice.is_dark_first):
         return not_found(
@@ -274,7 +276,7 @@ def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2
     rows, columns = values.shape[:2]
     is_whole = np.isfinite(corners[..., 0]).all(axis=2)
     is_bright = ((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)) & is_whole
-    middle = np.where(is_whole & ~is_bright, np.median(values, axis=-1), np.nan)
+    middle = np.where(is_whole & ~is_bright, values.mean(axis=-1), np.nan)
     around = np.pad(middle, 1, constant_values=np.nan)
     dark = np.fmax(np.fmax(around[:-2, 1:-1], around[2:, 1:-1]), np.fmax(around[1:-1, :-2], around[1:-1, 2:]))
     usable = is_bright & np.isfinite(dark)

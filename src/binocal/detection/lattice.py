@@ -142,13 +142,14 @@ def _link(smooth: ndarray, corners: XCorners) -> tuple[Int[ndarray, "n 4"], Int[
     # Brute force in C++; the nearest to each corner is itself.
     near = cv2.batchDistance(points, points, cv2.CV_32F, K=k + 1, normType=cv2.NORM_L2SQR)[1][:, 1:].astype(int)
     way = points[near] - points[:, None]
-    heading = np.arctan2(way[..., 1], way[..., 0])
-    length = np.hypot(way[..., 0], way[..., 1])
-    turn = np.abs(_wrap(heading[:, :, None] - corners.rays_rad[:, None, :]))  # (n, k, 4)
-    turn_back = np.abs(_wrap(heading[:, :, None] + np.pi - corners.rays_rad[near]))
-    ray, back = turn.argmin(axis=2), turn_back.argmin(axis=2)
+    length = np.sqrt(way[..., 0] ** 2 + way[..., 1] ** 2)
+    rays = corners.rays_rad.astype(np.float32)
+    x, y = np.cos(rays), np.sin(rays)
+    along = way[..., :1] * x[:, None] + way[..., 1:] * y[:, None]  # (n, k, 4): length times the cosine of the turn
+    along_back = -(way[..., :1] * x[near] + way[..., 1:] * y[near])
+    ray, back = along.argmax(axis=2), along_back.argmax(axis=2)
     contrast = np.minimum(corners.contrast_dn[:, None], corners.contrast_dn[near])
-    is_link = (turn.min(axis=2) < MAX_TURN_RAD) & (turn_back.min(axis=2) < MAX_TURN_RAD)
+    is_link = np.minimum(along.max(axis=2), along_back.max(axis=2)) > np.cos(MAX_TURN_RAD) * length
     is_link &= (ray % 2) != (back % 2)  # the bright side of an edge is the same seen from both ends
     is_link &= contrast > 0.15 * np.maximum(corners.contrast_dn[:, None], corners.contrast_dn[near])
     who, slot = np.nonzero(is_link)
@@ -442,7 +443,7 @@ def _step_break(grid: ndarray) -> float:
     return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
 
 
-def continues_beyond(saddles: SaddlePicture, lattice: Lattice) -> bool:
+def continues_beyond(saddles: SaddlePicture, corners: XCorners, lattice: Lattice) -> bool:
     """Whether the lattice goes on beyond one of its borders: the printed board is larger than the lattice.
 
     A row counts where every corner and every edge of it is seen, with the lattice's own contrast; margins that are
@@ -451,7 +452,7 @@ def continues_beyond(saddles: SaddlePicture, lattice: Lattice) -> bool:
     """
     contrast = np.where(np.isfinite(lattice.points_px[..., :1]), lattice.contrast_dn, np.nan)
     grid = np.concatenate([lattice.points_px, contrast], axis=-1)
-    for side in _sides_to_try(saddles, grid):
+    for side in _sides_to_try(corners, lattice.points_px):
         pad = [(0, 0), (0, 0), (0, 0)]
         pad[side // 2] = (1, 0) if side % 2 == 0 else (0, 1)
         is_bright = (not lattice.is_dark_first) ^ (side % 2 == 0)
@@ -464,16 +465,18 @@ def continues_beyond(saddles: SaddlePicture, lattice: Lattice) -> bool:
     return False
 
 
-def _sides_to_try(saddles: SaddlePicture, grid: ndarray) -> list[int]:
-    """The sides (top, bottom, left, right) beyond which half of the next row's corners are seen at the first look."""
-    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    predicted, spacing = predict_missing(padded[..., :2], least=1)
-    predicted[1:-1, 1:-1] = np.nan
-    rows, columns = np.nonzero(np.isfinite(predicted[..., 0]))
-    if len(rows) == 0:
+def _sides_to_try(corners: XCorners, grid: Float[ndarray, "rows columns 2"]) -> list[int]:
+    """The sides (top, bottom, left, right) beyond which half of the next row's corners are among the ``corners``."""
+    if len(corners) == 0:
         return []
-    is_seen = np.zeros(predicted.shape[:2], bool)
-    found = _search(saddles, predicted[rows, columns], spacing[rows, columns])
-    is_seen[rows, columns] = np.isfinite(found[:, 0])
-    lines = (is_seen[0], is_seen[-1], is_seen[:, 0], is_seen[:, -1])
-    return [side for side, line in enumerate(lines) if 2 * line.sum() >= len(line) - 2]
+    sides = []
+    for side, (near, far) in enumerate(
+        ((grid[0], grid[1]), (grid[-1], grid[-2]), (grid[:, 0], grid[:, 1]), (grid[:, -1], grid[:, -2]))
+    ):
+        step = near - far
+        off = (near + step)[:, None] - corners.points_px
+        reach = 0.3 * np.sqrt((step**2).sum(axis=-1))
+        n_seen = np.count_nonzero((off**2).sum(axis=-1).min(axis=1) < reach**2)  # False for NaN
+        if 2 * n_seen >= np.count_nonzero(np.isfinite(reach)):
+            sides.append(side)
+    return sides

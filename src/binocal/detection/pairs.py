@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.datasets.folder import Pairing, PicturePair
-from binocal.datasets.pictures import read_grey_picture
+from binocal.datasets.pictures import read_hashed_grey_picture
 from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
 from binocal.detection.hints import hint_by_trying, hint_from_sizes
@@ -45,6 +46,8 @@ class PairDetections:
     notes: tuple[str, ...]
     left_covariance_px2: Float[ndarray, "views n 2 2"]
     right_covariance_px2: Float[ndarray, "views n 2 2"]
+    input_sha256: Mapping[str, str] = field(default_factory=dict)
+    """Of ``left`` and ``right``: SHA-256 over the name and the SHA-256 of each readable picture, in order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +59,7 @@ class _Seen:
     found: FoundBoard | None = None
     layout: Any = None
     problem: str = ""
+    sha256: str = ""
 
 
 def detect_pairs(
@@ -109,7 +113,14 @@ def detect_pairs(
         tuple(pairs[i].name for i in kept),
         board.is_metric,
     )
-    return PairDetections(detections, tuple(rejected), tuple(notes), covariances["left"], covariances["right"])
+    return PairDetections(
+        detections,
+        tuple(rejected),
+        tuple(notes),
+        covariances["left"],
+        covariances["right"],
+        {side: _digest(pictures) for side, pictures in sides.items()},
+    )
 
 
 def _detect_all(
@@ -142,13 +153,13 @@ def _detect_all(
 
 def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _Seen:
     try:
-        grey = read_grey_picture(path)
+        grey, sha256 = read_hashed_grey_picture(path)
     except FormatError as error:
         return _Seen(path, problem=str(error.problem))
     if preprocess:
         grey = strengthen_edges(grey)
     found, proved = detect_in_layout(grey, board, layout)
-    return _Seen(path, (grey.shape[1], grey.shape[0]), found, proved)
+    return _Seen(path, (grey.shape[1], grey.shape[0]), found, proved, sha256=sha256)
 
 
 def _agree_on_layout(
@@ -246,6 +257,14 @@ def _sort_views(
 def _one_line(text: str, rejected: Sequence[RejectedView]) -> str:
     first = rejected[0]
     return f"{text}: {first.name}: {first.reason}" + (f" (and {len(rejected) - 1} more)" if len(rejected) > 1 else "")
+
+
+def _digest(pictures: Sequence[_Seen]) -> str:
+    """SHA-256 over names and contents' SHA-256, in order."""
+    digest = hashlib.sha256()
+    for picture in pictures:
+        digest.update(f"{picture.path.name}\0{picture.sha256}\n".encode())
+    return digest.hexdigest()
 
 
 def _points(picture: _Seen, board: Board) -> ndarray:

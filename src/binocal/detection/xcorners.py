@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -140,35 +141,39 @@ def localize_saddles(
 ) -> Float[ndarray, "n 2"]:
     """Points moved to the saddle of the quadratic that fits the grey levels around them best, to about 0.1 px.
 
-    A point stays where the fit is no saddle, or moves by more than its window (a third of the spacing, 2 to 8 px).
+    A point stays where the fit is no saddle, or moves by more than its window (a third of the smaller spacings, 2 to 8 px).
     NaN stays NaN. Source: Lucchese & Mitra 2002, "Using saddle points for subpixel feature detection".
     """
     points = np.asarray(points_px, dtype=float).copy()
-    half = np.zeros(len(points), int)
-    usable = np.isfinite(points[:, 0]) & np.isfinite(spacing_px)
-    half[usable] = np.clip(spacing_px[usable] / 3, 2, 8)
+    index = np.nonzero(np.isfinite(points[:, 0]) & np.isfinite(spacing_px))[0]
+    if len(index) == 0:
+        return points
+    reach = int(np.clip(np.sort(spacing_px[index])[len(index) // 5] / 3, 2, 8))
+    step, fit = _quadratic_fit(reach)
     size_wh = np.array(picture.shape[::-1])
-    for reach in np.unique(half[usable]):
-        index = np.nonzero(usable & (half == reach))[0]
-        step = np.arange(-reach, reach + 1)
-        y, x = (axis.ravel().astype(float) for axis in np.meshgrid(step, step, indexing="ij"))
-        weight = np.exp(-(x**2 + y**2) / reach**2)
-        basis = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1)
-        fit = np.linalg.solve(basis.T @ (weight[:, None] * basis), basis.T * weight)
-        start = points[index]
-        for _ in range(2):
-            centre = np.rint(points[index]).astype(int)
-            is_inside = ((centre >= reach) & (centre < size_wh - reach)).all(axis=1)
-            index, centre, start = index[is_inside], centre[is_inside], start[is_inside]
-            patch = picture[(centre[:, 1, None] + step)[:, :, None], (centre[:, 0, None] + step)[:, None, :]]
-            a, b, c, d, e, _ = fit @ patch.reshape(len(index), -1).astype(float).T
-            determinant = 4 * a * c - b * b
-            with np.errstate(divide="ignore", invalid="ignore"):
-                shift = np.stack([b * e - 2 * c * d, b * d - 2 * a * e]) / determinant
-            moved = centre + shift.T
-            is_near = (determinant < 0) & (np.abs(moved - start) <= reach).all(axis=1)
-            points[index[is_near]] = moved[is_near]
+    for _ in range(2):
+        centre = np.rint(points[index]).astype(int)
+        is_inside = ((centre >= reach) & (centre < size_wh - reach)).all(axis=1)
+        index, centre = index[is_inside], centre[is_inside]
+        patch = picture[(centre[:, 1, None] + step)[:, :, None], (centre[:, 0, None] + step)[:, None, :]]
+        a, b, c, d, e = fit @ patch.reshape(len(index), -1).astype(np.float32).T
+        determinant = 4 * a * c - b * b
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = np.stack([b * e - 2 * c * d, b * d - 2 * a * e]) / determinant
+        moved = centre + shift.T
+        is_near = (determinant < 0) & (np.abs(moved - points_px[index]) <= reach).all(axis=1)
+        points[index[is_near]] = moved[is_near]
     return points
+
+
+@lru_cache(maxsize=16)
+def _quadratic_fit(reach: int) -> tuple[Int[ndarray, "k"], Float32[ndarray, "5 k2"]]:
+    """Steps across a window, and the matrix from its pixels to the coefficients of x^2, xy, y^2, x and y."""
+    step = np.arange(-reach, reach + 1)
+    y, x = (axis.ravel().astype(float) for axis in np.meshgrid(step, step, indexing="ij"))
+    weight = np.exp(-(x**2 + y**2) / reach**2)
+    basis = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1)
+    return step, np.linalg.solve(basis.T @ (weight[:, None] * basis), basis.T * weight)[:5].astype(np.float32)
 
 
 def sample(image: ndarray, points_px: Float[ndarray, "*n 2"]) -> Float32[ndarray, "*n"]:
