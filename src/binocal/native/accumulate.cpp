@@ -475,31 +475,27 @@ double median(const double* values, std::size_t n) {
     std::vector<std::uint32_t> count(std::size_t{1} << (64 - kShift), 0);
     auto bin_of = [](double value) { return std::bit_cast<std::uint64_t>(value) >> kShift; };
     for (std::size_t i = 0; i < n; ++i) ++count[bin_of(values[i])];
-    std::vector<double> bin;
-    auto nth = [&](std::size_t k) {
-        std::size_t chosen = 0, below = 0;
-        while (below + count[chosen] <= k) below += count[chosen++];
-        bin.clear();
-        for (std::size_t i = 0; i < n; ++i) {
-            if (bin_of(values[i]) == chosen) bin.push_back(values[i]);
-        }
-        auto less = [](double a, double b) { return std::bit_cast<std::uint64_t>(a) < std::bit_cast<std::uint64_t>(b); };
-        std::nth_element(bin.begin(), bin.begin() + (k - below), bin.end(), less);
-        return bin[k - below];
-    };
-    const double low = nth((n - 1) / 2);
-    if (n % 2 == 1) return low;
-    // The next larger one is in the same bin, unless low was its last.
-    std::size_t n_not_above = 0;
-    double high = std::numeric_limits<double>::quiet_NaN();
-    for (std::size_t i = 0; i < n; ++i) {
-        if (values[i] <= low) {
-            ++n_not_above;
-        } else if (!(values[i] >= high)) {
-            high = values[i];
-        }
+    const std::size_t k = (n - 1) / 2;
+    std::size_t chosen = 0, below = 0;
+    while (below + count[chosen] <= k) below += count[chosen++];
+    std::vector<double> bin(count[chosen] + 1);
+    for (std::size_t i = 0, kept = 0; i < n; ++i) {
+        bin[kept] = values[i];
+        kept += bin_of(values[i]) == chosen;
     }
-    return 0.5 * (low + (n_not_above > n / 2 ? low : high));
+    bin.pop_back();
+    auto less = [](double a, double b) { return std::bit_cast<std::uint64_t>(a) < std::bit_cast<std::uint64_t>(b); };
+    const auto middle = bin.begin() + (k - below);
+    std::nth_element(bin.begin(), middle, bin.end(), less);
+    if (n % 2 == 1) return *middle;
+    if (middle + 1 != bin.end()) return 0.5 * (*middle + *std::min_element(middle + 1, bin.end(), less));
+    while (count[++chosen] == 0) {
+    }
+    double high = std::numeric_limits<double>::infinity();  // the next larger one begins the next bin
+    for (std::size_t i = 0; i < n; ++i) {
+        if (bin_of(values[i]) == chosen) high = std::min(high, values[i], less);
+    }
+    return 0.5 * (*middle + high);
 }
 
 // Median of each rig's seen squared lengths over all cameras; 0 where nothing is seen.
