@@ -68,18 +68,22 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
         return None
     frame = PlaneFrame.of(detections.object_points_m)
     weights = is_seen.astype(float)
-    fit, du, dv = fit_plane(frame, u, v, weights, n_passes=1)
-    squares = weights * (du * du + dv * dv)
+    with np.errstate(all="ignore"):
+        fit, du, dv = fit_plane(frame, u, v, weights, n_passes=1)
+        squares = weights * (du * du + dv * dv)
     n_corners = is_seen.sum()
     rms = np.sqrt(squares.sum() / (2 * n_corners))
-    if not rms < _MAX_LENS_RESIDUAL:  # NaN too: a picture whose corners lie on a line
+    if not rms < _MAX_LENS_RESIDUAL:  # NaN too
         return None
     focal = _focal_lengths(fit.rows.reshape(2, n_views, 3, 3))
     if focal is None:
         return None
     rays = fit.rows / np.repeat(focal, n_views)[:, None, None] ** [[1], [1], [0]]
-    R, t_centre, _ = decompose(rays, frame.scale)
+    with np.errstate(all="ignore"):
+        R, t_centre, _ = decompose(rays, frame.scale)
     t = t_centre - R[..., :2] @ frame.centre
+    if not (np.isfinite(R).all() and np.isfinite(t).all()):  # a picture whose corners lie on a line
+        return None
     R_left, t_left, R_right, t_right = R[:n_views], t[:n_views], R[n_views:], t[n_views:]
     R_right_left = so3.project_to_rotation(np.mean(R_right @ R_left.swapaxes(-1, -2), axis=0))
     t_right_left = np.mean(t_right - t_left @ R_right_left.T, axis=0)
