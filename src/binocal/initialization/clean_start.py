@@ -81,7 +81,7 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
     rays = fit.rows / np.repeat(focal, n_views)[:, None, None] ** [[1], [1], [0]]
     with np.errstate(all="ignore"):
         R, t_centre, _ = decompose(rays, frame.scale)
-    t = t_centre - R[..., :2] @ frame.centre
+        t = t_centre - R[..., :2] @ frame.centre
     if not (np.isfinite(R).all() and np.isfinite(t).all()):  # a picture whose corners lie on a line
         return None
     R_left, t_left, R_right, t_right = R[:n_views], t[:n_views], R[n_views:], t[n_views:]
@@ -106,7 +106,6 @@ def _focal_lengths(rows: Float[ndarray, "cameras views 3 3"]) -> Float[ndarray, 
     size = np.sum(h1 * h1, axis=-1) + np.sum(h2 * h2, axis=-1)
     both = np.stack([h1 * h2, (h1 * h1 - h2 * h2) / 2], axis=-2) / size[..., None, None]
     a, b = both[..., 0] + both[..., 1], both[..., 2]
-    inverse2 = -np.sum(a * b, axis=(-1, -2)) / np.sum(a * a, axis=(-1, -2))
     with np.errstate(all="ignore"):
-        focal = 1 / np.sqrt(inverse2)
+        focal = np.sqrt(-np.sum(a * a, axis=(-1, -2)) / np.sum(a * b, axis=(-1, -2)))
     return focal if np.all((focal > _FOCAL_RANGE[0]) & (focal < _FOCAL_RANGE[1])) else None
