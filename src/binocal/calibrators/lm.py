@@ -110,10 +110,11 @@ def _calibrate_clean(detections: Detections, options: CalibrationOptions) -> Ste
             warnings=(),
             n_iterations=n_iterations,
         )
-        calibration = trust.judged(calibration, is_converged=True)
+        warnings = trust.check_observability(calibration)
     except CalibrationError:
         return None
-    return calibration if _is_beyond_doubt(calibration) else None
+    # check_fit asks for less than what is asked for here
+    return calibration if not warnings and _is_beyond_doubt(calibration) else None
 
 
 def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float) -> bool:
