@@ -57,3 +57,14 @@ def test_a_transform_is_frozen_and_checked():
 def test_mean_rotation_lies_between():
     R = so3.exp(np.array([[0.1, 0, 0], [0.3, 0, 0]]))
     assert np.allclose(so3.log(so3.mean(R)), [0.2, 0, 0], atol=1e-12)
+
+
+def test_projection_to_a_rotation_is_the_nearest_one_near_and_far():
+    rng = np.random.default_rng(0)
+    R = so3.exp(rng.standard_normal((5, 3)))
+    for size in (0.0, 1e-12, 1e-9, 1e-3):
+        M = R + size * rng.standard_normal(R.shape)
+        U, _, Vt = np.linalg.svd(M)
+        assert np.abs(so3.project_to_rotation(M) - U @ Vt).max() < 1e-14
+    turned = so3.project_to_rotation(-R)  # a reflection is no rotation, however orthogonal
+    assert np.allclose(np.linalg.det(turned), 1.0)

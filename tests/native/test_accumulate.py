@@ -104,13 +104,13 @@ def test_columns_and_lengths_equal_the_numpy_statement(name):
 
 
 @pytest.mark.parametrize("free", [(), (0,), (0, 1, 2, 3, 5, 6, 7, 8)])
-def test_held_parameters_leave_zeros_and_the_rest_as_it_was(free):
+def test_held_parameters_get_no_columns(free):
     model, parameters, R, t, points, pixels, is_seen = make_views("brown8")
     is_free = np.isin(np.arange(model.n_parameters), free)
     whole = accumulate("brown8", parameters, R, t, points, pixels, is_seen, np.asarray(60.0), "hampel")
     part = accumulate("brown8", parameters, R, t, points, pixels, is_seen, np.asarray(60.0), "hampel", is_free)
     keep = np.r_[is_free, np.ones(7, dtype=bool)]
-    assert np.allclose(part.gram, np.where(keep[:, None] & keep, whole.gram, 0.0), rtol=1e-12)
+    assert np.allclose(part.gram, whole.gram[:, keep][:, :, keep], rtol=1e-12)
     assert np.array_equal(part.cost_px2, whole.cost_px2)
 
 

@@ -1,6 +1,6 @@
-"""Corners to rig: binocal's ``lm`` against OpenCV's mono calibrations followed by the joint stereo solve.
+"""Corners to rig: binocal's ``lm`` against OpenCV's mono calibrations with the joint stereo solve, and against mrcal.
 
-The peer is given what it does best: exact board, all corners, five distortion coefficients, no outliers, intrinsics
+The peers are given what they do best: exact board, all corners, five distortion coefficients, no outliers, intrinsics
 refined jointly (``CALIB_USE_INTRINSIC_GUESS``). binocal does more in its time: robust loss, view checks, covariance.
 """
 
@@ -12,14 +12,26 @@ from typing import Any
 
 import numpy as np
 
+from binocal.benchmark.mrcal_peer import find_mrcal, run_mrcal
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
+from binocal.cameras import camera_model
 from binocal.detections import Detections
 from binocal.geometry import so3
+from binocal.native import n_cpus
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
+from binocal.solvers.bundle import (
+    BundleEstimate,
+    BundleProblem,
+    CameraObservations,
+    linearize,
+    retract,
+    solve_step,
+)
 
 BOARD = "chessboard:11x8:20mm"
 NOISE_PX = 0.2
+BATCH_RIGS, BATCH_VIEWS = 256, 20  # what the agent trains on
 PEER_LIMIT_PAIRS = 200  # the peer's time grows with the cube of the views
 
 
@@ -51,47 +63,43 @@ def _run_binocal(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]
     return elapsed_s, calibration.rig.T_right_left.R, calibration.rig.T_right_left.t
 
 
-def run_solver_benchmark(
-    *, pairs: tuple[int, ...] = (20, 50, 100, 200), rounds: int = 5, seed: int = 0
-) -> dict[str, Any]:
-    """Time both in turn, ``rounds`` times per number of pairs after one warm-up round.
+def _run_mrcal(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]:
+    board = parse_board(BOARD)
+    return run_mrcal(detections, board, board.pitch_m)
 
-    Medians, spread, errors against the truth.
+
+def run_solver_benchmark(
+    *, pairs: tuple[int, ...] = (20, 50, 100, 200, 1000), rounds: int = 5, seed: int = 0
+) -> dict[str, Any]:
+    """Time all in turn, ``rounds`` times per number of pairs after one warm-up round, and the batch of rigs.
+
+    Medians, spread, errors against the truth. mrcal takes part where some Python on the machine has it.
     """
     import cv2
 
+    methods = {"binocal": _run_binocal, "opencv": _run_opencv}
+    if find_mrcal() is not None:
+        methods["mrcal"] = _run_mrcal
     rows = []
     for n_views in pairs:
-        times: dict[str, list[float]] = {"opencv": [], "binocal": []}
-        errors: dict[str, list[tuple[float, float]]] = {"opencv": [], "binocal": []}
+        times: dict[str, list[float]] = {name: [] for name in methods}
+        errors: dict[str, list[tuple[float, float]]] = {name: [] for name in methods}
         for round_index in range(rounds + 1):
             scene, detections = _scene(n_views, seed + 1000 * round_index + n_views)
             truth = scene.rig.T_right_left
-            for name, method in (("binocal", _run_binocal), ("opencv", _run_opencv)):
-                if name == "opencv" and n_views > PEER_LIMIT_PAIRS:
+            for name, method in methods.items():
+                if name != "binocal" and n_views > PEER_LIMIT_PAIRS:
                     continue
                 elapsed_s, R, t = method(detections)
                 if round_index:
                     times[name].append(elapsed_s)
                     rotation_deg = float(np.degrees(so3.angle_rad(R @ truth.R.T)))
                     errors[name].append((rotation_deg, 1e3 * float(np.linalg.norm(t - truth.t))))
-        row: dict[str, Any] = {"pairs": n_views}
-        for name, seconds in times.items():
-            if seconds:
-                row[f"{name}_s"] = {"median": float(np.median(seconds)), "min": min(seconds), "max": max(seconds)}
-                rotation_deg, translation_mm = np.median(np.array(errors[name]), axis=0)
-                row[f"{name}_rotation_error_deg"] = float(rotation_deg)
-                row[f"{name}_translation_error_mm"] = float(translation_mm)
-        if times["opencv"]:
-            ratios = np.array(times["opencv"]) / np.array(times["binocal"])
-            row["opencv_over_binocal"] = {
-                "median": float(np.median(ratios)),
-                "min": float(ratios.min()),
-                "max": float(ratios.max()),
-            }
-        rows.append(row)
+        rows.append(_row(n_views, times, errors))
+    batches = [_time_batch(seed, rounds, intrinsics=free) for free in (False, True)]
     machine = (
-        f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}, OpenCV {cv2.__version__}"
+        f"{platform.machine()}, {n_cpus()} processors, Python {platform.python_version()}, NumPy {np.__version__}, "
+        f"OpenCV {cv2.__version__}{', mrcal' if 'mrcal' in methods else ''}"
     )
     return {
         "benchmark": "solver",
@@ -101,33 +109,104 @@ def run_solver_benchmark(
         "seed": seed,
         "machine": machine,
         "rows": rows,
-        "text": _format(rows, machine),
+        "batches": batches,
+        "text": _format(rows, batches, machine),
     }
 
 
-def _format(rows: list[dict[str, Any]], machine: str) -> str:
-    lines = [
-        f"corners to rig, {BOARD}, noise {NOISE_PX} px ({machine})",
-        f"{'pairs':>6} {'binocal ms (min..max)':>26} {'OpenCV ms (min..max)':>28} {'ratio (min..max)':>22} "
-        f"{'rotation error deg':>24} {'translation error mm':>24}",
-    ]
+def _row(n_views: int, times: dict[str, list[float]], errors: dict[str, list[tuple[float, float]]]) -> dict[str, Any]:
+    row: dict[str, Any] = {"pairs": n_views}
+    for name, seconds in times.items():
+        if not seconds:
+            continue
+        row[f"{name}_s"] = _span(np.array(seconds))
+        rotation_deg, translation_mm = np.median(np.array(errors[name]), axis=0)
+        row[f"{name}_rotation_error_deg"] = float(rotation_deg)
+        row[f"{name}_translation_error_mm"] = float(translation_mm)
+        if name != "binocal":
+            row[f"{name}_over_binocal"] = _span(np.array(seconds) / np.array(times["binocal"]))
+    return row
+
+
+def _span(values: np.ndarray) -> dict[str, float]:
+    return {"median": float(np.median(values)), "min": float(values.min()), "max": float(values.max())}
+
+
+def _time_batch(seed: int, rounds: int, *, intrinsics: bool) -> dict[str, Any]:
+    """Rig-iterations per second of a batch of simulated rigs: step, retraction and linearisation of every rig."""
+    n_steps = 5
+    problem, start = _batch(seed, intrinsics=intrinsics)
+    scale_px, damping = np.full(BATCH_RIGS, NOISE_PX), np.full(BATCH_RIGS, 1e-3)
+    rates = []
+    for round_index in range(rounds + 1):
+        estimate, equations = start, linearize(problem, start, scale_px, "cauchy")
+        begin = time.perf_counter()
+        for _ in range(n_steps):
+            estimate = retract(problem, estimate, solve_step(problem, estimate, equations, damping))
+            equations = linearize(problem, estimate, scale_px, "cauchy")
+        if round_index:
+            rates.append(n_steps * BATCH_RIGS / (time.perf_counter() - begin))
+    return {
+        "rigs": BATCH_RIGS,
+        "views": BATCH_VIEWS,
+        "intrinsics": "free" if intrinsics else "held",
+        "rig_iterations_per_s": _span(np.array(rates)),
+    }
+
+
+def _batch(seed: int, *, intrinsics: bool) -> tuple[BundleProblem, BundleEstimate]:
+    """Rigs with poses of their own, and a start 3 deg and 5 % of the baseline off the truth."""
+    rng = np.random.default_rng(seed)
+    rig, board = table2_rig(), parse_board(BOARD)
+    poses, detections = [], []
+    for _ in range(BATCH_RIGS):
+        scene = StereoScene(rig, board, sample_board_poses(rig, board, BATCH_VIEWS, rng))
+        poses.append(scene.T_left_board)
+        detections.append(simulate_detections(scene, rng, noise_px=NOISE_PX))
+    cameras = tuple(
+        CameraObservations.from_corners(
+            camera_model(camera.model), np.stack([getattr(d, f"{side}_px") for d in detections]), intrinsics=intrinsics
+        )
+        for side, camera in (("left", rig.left), ("right", rig.right))
+    )
+    problem = BundleProblem(np.ascontiguousarray(board.object_points_m.T), cameras)
+    truth = rig.T_right_left
+    turn = so3.exp(np.radians(3) * rng.standard_normal((BATCH_RIGS, 3)) / np.sqrt(3))
+    start = BundleEstimate(
+        tuple(np.tile(camera.parameters, (BATCH_RIGS, 1)) for camera in (rig.left, rig.right)),
+        np.stack([T.R for T in poses]),
+        np.stack([T.t for T in poses]),
+        turn @ truth.R,
+        truth.t + 0.05 * rig.baseline_m * rng.standard_normal((BATCH_RIGS, 3)) / np.sqrt(3),
+    )
+    return problem, start
+
+
+def _format(rows: list[dict[str, Any]], batches: list[dict[str, Any]], machine: str) -> str:
+    def span(entry: dict[str, float] | None, scale: float, digits: int) -> str:
+        if entry is None:
+            return "-"
+        low, middle, high = (f"{entry[key] * scale:.{digits}f}" for key in ("min", "median", "max"))
+        return f"{middle} ({low}..{high})"
+
+    peers = [name for name in ("opencv", "mrcal") if any(f"{name}_s" in row for row in rows)]
+    head = [f"{'pairs':>6}", f"{'binocal ms (min..max)':>24}"]
+    for name in peers:
+        head += [f"{name + ' ms':>22}", f"{name + ' / binocal':>22}"]
+    head += [f"{'rotation error deg':>30}", f"{'translation error mm':>30}"]
+    lines = [f"corners to rig, {BOARD}, noise {NOISE_PX} px ({machine})", " ".join(head)]
     for row in rows:
-        ours, theirs, ratio = row["binocal_s"], row.get("opencv_s"), row.get("opencv_over_binocal")
-
-        def span(entry: dict[str, float] | None, scale: float, digits: int) -> str:
-            if entry is None:
-                return "-"
-            return (
-                f"{entry['median'] * scale:.{digits}f} "
-                f"({entry['min'] * scale:.{digits}f}..{entry['max'] * scale:.{digits}f})"
-            )
-
-        def pair(key: str, row: dict[str, Any] = row) -> str:
-            theirs = row.get(f"opencv_{key}")
-            return f"{row[f'binocal_{key}']:.5f}" + (f" / {theirs:.5f}" if theirs is not None else "")
-
+        cells = [f"{row['pairs']:>6}", f"{span(row['binocal_s'], 1e3, 1):>24}"]
+        for name in peers:
+            cells.append(f"{span(row.get(f'{name}_s'), 1e3, 0):>22}")
+            cells.append(f"{span(row.get(f'{name}_over_binocal'), 1, 1):>22}")
+        for key in ("rotation_error_deg", "translation_error_mm"):
+            values = (row.get(f"{name}_{key}") for name in ("binocal", *peers))
+            cells.append(f"{' / '.join(f'{value:.5f}' for value in values if value is not None):>30}")
+        lines.append(" ".join(cells))
+    for batch in batches:
         lines.append(
-            f"{row['pairs']:>6} {span(ours, 1e3, 1):>26} {span(theirs, 1e3, 0):>28} {span(ratio, 1, 1):>22} "
-            f"{pair('rotation_error_deg'):>24} {pair('translation_error_mm'):>24}"
+            f"{batch['rigs']} rigs of {batch['views']} views, intrinsics {batch['intrinsics']}: "
+            f"{span(batch['rig_iterations_per_s'], 1, 0)} rig-iterations per second"
         )
     return "\n".join(lines)

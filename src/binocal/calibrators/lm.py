@@ -91,8 +91,9 @@ def _calibrate_clean(detections: Detections, options: CalibrationOptions) -> Ste
     if start is None:
         return None
     problem = joint_problem(detections, options)
-    T_board, T_rig = start.T_left_board, start.T_right_left
-    estimate = BundleEstimate(start.parameters, T_board.R, T_board.t, T_rig.R, T_rig.t)
+    estimate = BundleEstimate(
+        start.parameters, start.R_left_board, start.t_left_board, start.R_right_left, start.t_right_left
+    )
     minimum = minimize(problem, estimate, LoopOptions(max_iterations=CLEAN_ITERATIONS))
     if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
         return None
@@ -109,10 +110,11 @@ def _calibrate_clean(detections: Detections, options: CalibrationOptions) -> Ste
             warnings=(),
             n_iterations=n_iterations,
         )
-        calibration = trust.judged(calibration, is_converged=True)
+        warnings = trust.check_observability(calibration)
     except CalibrationError:
         return None
-    return calibration if _is_beyond_doubt(calibration) else None
+    # check_fit asks for less than what is asked for here
+    return calibration if not warnings and _is_beyond_doubt(calibration) else None
 
 
 def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float) -> bool:

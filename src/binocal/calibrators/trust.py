@@ -171,10 +171,9 @@ def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
 def corner_spacing_px(detections: Detections) -> float:
     """Median distance in the pictures of corners that are neighbours on the board."""
     points = detections.object_points_m
-    index = np.arange(len(points))
-    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    distance[index, index] = np.inf
-    nearest = np.argmin(distance, axis=1)
+    distance2 = np.square(points[:, None] - points).sum(axis=-1)
+    np.fill_diagonal(distance2, np.inf)
+    nearest = np.argmin(distance2, axis=1)
     some = np.linspace(0, detections.n_views - 1, min(detections.n_views, MAX_SPACING_VIEWS)).round().astype(int)
     steps = np.concatenate([px[some][:, nearest] - px[some] for px in (detections.left_px, detections.right_px)])
     gaps = np.hypot(steps[..., 0], steps[..., 1])

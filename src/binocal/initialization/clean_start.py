@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from binocal.cameras import camera_model
 from binocal.detections import Detections
-from binocal.geometry import SE3, so3
+from binocal.geometry import so3
 from binocal.geometry.homography import PlaneFrame, fit_plane
 from binocal.initialization.poses import decompose
 
@@ -38,8 +38,10 @@ class CleanStart:
     """
 
     parameters: tuple[Float[ndarray, "p"], Float[ndarray, "p"]]
-    T_right_left: SE3
-    T_left_board: SE3
+    R_right_left: Float[ndarray, "3 3"]
+    t_right_left: Float[ndarray, "3"]
+    R_left_board: Float[ndarray, "views 3 3"]
+    t_left_board: Float[ndarray, "views 3"]
     homography_px: float
 
 
@@ -57,28 +59,34 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
     size = np.repeat([detections.left_size_wh, detections.right_size_wh], n_views, axis=0).astype(float)
     centre = (size - 1) / 2
     unit_px = np.hypot(size[:, 0], size[:, 1]) / 2
-    normalised = (pixels - centre[:, None]) / unit_px[:, None, None]
+    u = (pixels[..., 0] - centre[:, :1]) / unit_px[:, None]
+    v = (pixels[..., 1] - centre[:, 1:]) / unit_px[:, None]
     if not is_full:
-        normalised[~is_seen] = 0.0
-    u, v = normalised[..., 0], normalised[..., 1]
+        u[~is_seen], v[~is_seen] = 0.0, 0.0
     limit = (centre + 0.5 + _OUTSIDE_PX) / unit_px[:, None]
     if np.any(np.abs(u).max(axis=-1) > limit[:, 0]) or np.any(np.abs(v).max(axis=-1) > limit[:, 1]):
         return None
     frame = PlaneFrame.of(detections.object_points_m)
     weights = is_seen.astype(float)
-    fit, du, dv = fit_plane(frame, u, v, weights, n_passes=1)
-    squares = weights * (du * du + dv * dv)
+    with np.errstate(all="ignore"):
+        fit, du, dv = fit_plane(frame, u, v, weights, n_passes=1)
+        squares = weights * (du * du + dv * dv)
     n_corners = is_seen.sum()
     rms = np.sqrt(squares.sum() / (2 * n_corners))
-    if not rms < _MAX_LENS_RESIDUAL:  # NaN too: a picture whose corners lie on a line
+    if not rms < _MAX_LENS_RESIDUAL:  # NaN too
         return None
     focal = _focal_lengths(fit.rows.reshape(2, n_views, 3, 3))
     if focal is None:
         return None
-    poses = _poses(frame, fit.rows / np.repeat(focal, n_views)[:, None, None] ** [[1], [1], [0]])
-    left, right = poses[:n_views], poses[n_views:]
-    R = so3.project_to_rotation(np.mean(right.R @ left.R.swapaxes(-1, -2), axis=0))
-    T_right_left = SE3(R, np.mean(right.t - left.t @ R.T, axis=0))
+    rays = fit.rows / np.repeat(focal, n_views)[:, None, None] ** [[1], [1], [0]]
+    with np.errstate(all="ignore"):
+        R, t_centre, _ = decompose(rays, frame.scale)
+        t = t_centre - R[..., :2] @ frame.centre
+    if not (np.isfinite(R).all() and np.isfinite(t).all()):  # a picture whose corners lie on a line
+        return None
+    R_left, t_left, R_right, t_right = R[:n_views], t[:n_views], R[n_views:], t[n_views:]
+    R_right_left = so3.project_to_rotation(np.mean(R_right @ R_left.swapaxes(-1, -2), axis=0))
+    t_right_left = np.mean(t_right - t_left @ R_right_left.T, axis=0)
     parameters = []
     for side in range(2):
         start = np.zeros(camera_model(model).n_parameters)
@@ -86,7 +94,7 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
         start[2:4] = centre[side * n_views]
         parameters.append(start)
     homography_px = float(np.sqrt((squares.sum(axis=-1) * unit_px**2).sum() / (2 * n_corners - 8 * len(pixels))))
-    return CleanStart((parameters[0], parameters[1]), T_right_left, left, homography_px)
+    return CleanStart((parameters[0], parameters[1]), R_right_left, t_right_left, R_left, t_left, homography_px)
 
 
 def _focal_lengths(rows: Float[ndarray, "cameras views 3 3"]) -> Float[ndarray, "cameras"] | None:
@@ -98,13 +106,6 @@ def _focal_lengths(rows: Float[ndarray, "cameras views 3 3"]) -> Float[ndarray, 
     size = np.sum(h1 * h1, axis=-1) + np.sum(h2 * h2, axis=-1)
     both = np.stack([h1 * h2, (h1 * h1 - h2 * h2) / 2], axis=-2) / size[..., None, None]
     a, b = both[..., 0] + both[..., 1], both[..., 2]
-    inverse2 = -np.sum(a * b, axis=(-1, -2)) / np.sum(a * a, axis=(-1, -2))
     with np.errstate(all="ignore"):
-        focal = 1 / np.sqrt(inverse2)
+        focal = np.sqrt(-np.sum(a * a, axis=(-1, -2)) / np.sum(a * b, axis=(-1, -2)))
     return focal if np.all((focal > _FOCAL_RANGE[0]) & (focal < _FOCAL_RANGE[1])) else None
-
-
-def _poses(frame: PlaneFrame, rows: Float[ndarray, "k 3 3"]) -> SE3:
-    """Board poses of homographies board → rays, rows normalised to the frame."""
-    R, t_centre, _ = decompose(rows, frame.scale)
-    return SE3(R, t_centre - R[..., :2] @ frame.centre)

@@ -37,8 +37,7 @@ VIEWS_PER_THREAD = 400  # likewise, for the elimination of the board poses
 class ViewEquations:
     """Normal equations of every view of one camera.
 
-    ``gram`` is the weighted Gram matrix of the columns [parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one; 0
-    in the rows and columns of parameters that are held.
+    ``gram`` is the weighted Gram matrix of the columns [free parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one.
     ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost
     per view; inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
     """
@@ -77,14 +76,14 @@ def accumulate(
     """Linearise every corner of every view.
 
     ``pixels`` must be finite where not seen too (any number). Parameters that are not ``is_free`` (default: all are)
-    get no columns, which saves their time.
+    get no columns.
     """
     *batch, n_views, n = is_seen.shape
-    q = parameters.shape[-1] + 7
+    free = np.ones(parameters.shape[-1], dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
+    q = int(np.count_nonzero(free)) + 7
     n_rigs = int(np.prod(batch, dtype=int))
     gram = np.empty((*batch, n_views, q, q))
     r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
-    free = np.ones(q - 7, dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
     scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
     arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
     _kernel.accumulate(model, *arrays, free, scale, kernel, gram, r2, cost, _n_threads(r2.size))
@@ -174,7 +173,6 @@ def unweighted_columns(
 
 def solve_steps(
     grams: tuple[Float[ndarray, "*batch views q q"], ...],
-    is_free: tuple[Bool[ndarray, "p"], ...],
     T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
     growth: Float[ndarray, "*batch"],
     *,
@@ -189,15 +187,14 @@ def solve_steps(
     pivoting, both equilibrated. A rig whose equations are singular gets NaN.
     """
     *batch, n_views, _, _ = grams[0].shape
-    n_shared = sum(int(np.count_nonzero(free)) for free in is_free) + (6 if len(grams) == 2 and is_rig_free else 0)
+    n_shared = _n_shared(grams, is_rig_free)
     shared, views, predicted = np.empty((*batch, n_shared)), np.empty((*batch, n_views, 6)), np.empty(batch)
-    _solve(grams, is_free, T_right_left, growth, is_rig_free, prior, (shared, views, predicted, _NOTHING))
+    _solve(grams, T_right_left, growth, is_rig_free, prior, (shared, views, predicted, _NOTHING))
     return shared, views, predicted
 
 
 def reduced_information(
     grams: tuple[Float[ndarray, "*batch views q q"], ...],
-    is_free: tuple[Bool[ndarray, "p"], ...],
     T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
     *,
     is_rig_free: bool = True,
@@ -208,19 +205,22 @@ def reduced_information(
     NaN where a view's own equations are singular.
     """
     batch = grams[0].shape[:-3]
-    n_shared = sum(int(np.count_nonzero(free)) for free in is_free) + (6 if len(grams) == 2 and is_rig_free else 0)
+    n_shared = _n_shared(grams, is_rig_free)
     reduced = np.empty((*batch, n_shared, n_shared))
     out = (_NOTHING, _NOTHING, _NOTHING, reduced)
-    _solve(grams, is_free, T_right_left, np.ones(batch), is_rig_free, prior, out)
+    _solve(grams, T_right_left, np.ones(batch), is_rig_free, prior, out)
     return reduced
 
 
 _NOTHING = np.empty(0)
 
 
+def _n_shared(grams: tuple[ndarray, ...], is_rig_free: bool) -> int:
+    return sum(gram.shape[-1] - 7 for gram in grams) + (6 if len(grams) == 2 and is_rig_free else 0)
+
+
 def _solve(
     grams: tuple[ndarray, ...],
-    is_free: tuple[ndarray, ...],
     T_right_left: tuple[ndarray, ndarray] | None,
     growth: ndarray,
     is_rig_free: bool,
@@ -234,7 +234,6 @@ def _solve(
     weight, gradient = (_NOTHING, _NOTHING) if prior is None else prior
     _kernel.solve_steps(
         flat,
-        [np.ascontiguousarray(free) for free in is_free],
         *(np.ascontiguousarray(a, dtype=float) for a in (R, t)),
         is_rig_free,
         *(np.ascontiguousarray(a, dtype=float) for a in (weight, gradient, growth)),

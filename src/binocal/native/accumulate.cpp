@@ -29,7 +29,7 @@ struct Task {
     int p;                                  // parameters of the model
     const double *parameters, *R, *t, *points, *pixels, *scale;
     const bool *is_seen, *is_free;
-    bool any_free, sees_behind;
+    bool sees_behind;
     Kernel kernel;
     double *gram, *r2, *cost;  // of accumulate
     double* columns;           // of unweighted_columns, else null
@@ -226,17 +226,37 @@ BINOCAL_INLINE void fill(const Task& task, const Scratch& s, std::size_t view, d
     }
 }
 
+// log(1 + x) for x >= 0 to rounding, without a branch, so that it is computed for whole vectors; NaN where x is not finite.
+BINOCAL_INLINE double log1p_positive(double x) {
+    const double y = 1 + x, rest = (x - (y - 1)) / y;  // what rounding 1 + x lost
+    const auto bits = std::bit_cast<std::uint64_t>(y);
+    const std::uint64_t above = bits - 0x3fe6a09e667f3bcdULL;  // y = 2^k m with m in [sqrt(1/2), sqrt(2))
+    const std::uint64_t k = above >> 52;
+    const double m = std::bit_cast<double>(bits - (above & 0xfff0000000000000ULL));
+    const double exponent = std::bit_cast<double>(k + 0x4338000000000000ULL) - 6755399441055744.0;
+    const double s = (m - 1) / (m + 1), z = s * s;  // log m = 2 artanh s, |s| < 0.172: the next term is below 2e-17
+    const double series =
+        1.0 / 3 + z * (1.0 / 5 + z * (1.0 / 7 + z * (1.0 / 9 + z * (1.0 / 11 + z * (1.0 / 13 + z * (1.0 / 15 +
+        z * (1.0 / 17 + z * (1.0 / 19))))))));
+    return exponent * 0.693147180559945309417 + (2 * s * (1 + z * series) + rest);
+}
+
 // Robust cost of squared lengths (binocal.solvers.robust states the formulas).
 BINOCAL_INLINE double robust_cost(Kernel kernel, const double* length2, std::size_t n, double scale) {
     const double s2 = scale * scale;
-    if (kernel == Kernel::cauchy) {
-        double cost = 0;
-        for (std::size_t j = 0; j < n; ++j) cost += std::log1p(length2[j] / s2);
-        return 0.5 * s2 * cost;
-    }
     constexpr std::size_t kParts = 8;  // several sums, so that they need not wait for one another
     double parts[kParts] = {};
     std::size_t j = 0;
+    if (kernel == Kernel::cauchy) {
+        const double inverse_s2 = 1 / s2;
+        for (; j + kParts <= n; j += kParts) {
+            for (std::size_t k = 0; k < kParts; ++k) parts[k] += log1p_positive(length2[j + k] * inverse_s2);
+        }
+        for (; j < n; ++j) parts[0] += log1p_positive(length2[j] * inverse_s2);
+        double cost = 0;
+        for (double part : parts) cost += part;
+        return 0.5 * s2 * cost;
+    }
     for (; j + kParts <= n; j += kParts) {
         for (std::size_t k = 0; k < kParts; ++k) parts[k] += length2[j + k];
     }
@@ -275,7 +295,8 @@ BINOCAL_INLINE bool weigh(const Task& task, const Scratch& s, std::size_t view) 
     for (std::size_t j = 0; j < n; ++j) n_beyond += length2[j] > flat2;
     for (std::size_t j = 0; j < n; ++j) n_seen += seen[j];
     if (task.kernel == Kernel::cauchy) {
-        for (std::size_t j = 0; j < n; ++j) weight[j] = std::sqrt(1 / (1 + length2[j] / s2));
+        BINOCAL_INDEPENDENT
+        for (std::size_t j = 0; j < n; ++j) weight[j] = std::sqrt(s2 / (s2 + length2[j]));
     } else {
         if (n_seen == n && (task.kernel == Kernel::squared || n_beyond == 0)) return false;
         std::fill(weight, weight + n, 1.0);
@@ -292,17 +313,24 @@ BINOCAL_INLINE bool weigh(const Task& task, const Scratch& s, std::size_t view) 
     return true;
 }
 
+// A column times the weights; 0 where the weight is 0, whatever the column holds there.
+BINOCAL_INLINE void scale_column(double* column, const double* weight, std::size_t n) {
+    BINOCAL_INDEPENDENT
+    for (std::size_t j = 0; j < n; ++j) {
+        const double value = column[j];
+        column[j] = (weight[j] != 0 ? value : 0.0) * weight[j];
+    }
+}
+
 template <class Model, bool Full, int lanes>
 BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
     constexpr int p = Model::n_parameters, q = p + 7;
     Scratch s(task.n);
     double* column[q];
-    int place[q];  // of an outer column among the ones that are kept, or -1
-    int m = 0;
+    int m = 0;  // columns that are kept
     for (int i = 0; i < q; ++i) {
         const bool is_kept = i >= p || task.is_free[i];
-        column[i] = is_kept ? s.J + m * s.stride : s.trash;
-        place[i] = is_kept ? m++ : -1;
+        column[i] = is_kept ? s.J + m++ * s.stride : s.trash;
     }
     const int padded = (m + 3) / 4 * 4;
     double block[kMaxColumns * kMaxColumns];
@@ -322,19 +350,16 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
             for (int i = 0; i < m; ++i) {
                 double* c = s.J + i * s.stride;
                 for (int half = 0; half < 2; ++half, c += s.run) {
-                    for (std::size_t j = 0; j < n; ++j) c[j] = s.weight[j] != 0 ? c[j] * s.weight[j] : 0.0;
+                    scale_column(c, s.weight, n);
                 }
             }
         }
         std::memcpy(task.r2 + n * view, s.length2, n * sizeof(double));
         task.cost[view] = is_impossible || !std::isfinite(cost) ? std::numeric_limits<double>::infinity() : cost;
         gram_matrix<lanes>(s.J, s.stride, padded, block);
-        double* gram = task.gram + static_cast<std::size_t>(q) * q * view;
-        for (int i = 0; i < q; ++i) {
-            for (int k = i; k < q; ++k) {
-                const double value = place[i] < 0 || place[k] < 0 ? 0.0 : block[place[i] * padded + place[k]];
-                gram[i * q + k] = gram[k * q + i] = value;
-            }
+        double* gram = task.gram + static_cast<std::size_t>(m) * m * view;
+        for (int i = 0; i < m; ++i) {
+            for (int k = i; k < m; ++k) gram[i * m + k] = gram[k * m + i] = block[i * padded + k];
         }
     }
 }
@@ -444,15 +469,14 @@ void accumulate(const std::string& name, const Doubles& parameters, const Double
                 std::size_t n_threads) {
     const Copies& model = copies_of(name);
     Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
-    const std::size_t q = model.n_parameters + 7;
-    require(is_free.size() == q - 7, "is_free must have one flag for each parameter");
+    require(is_free.size() == static_cast<std::size_t>(task.p), "is_free must have one flag for each parameter");
+    const std::size_t n_free = std::count(is_free.data(), is_free.data() + is_free.size(), true), q = n_free + 7;
     require(scale.size() == parameters.shape(0), "one scale for each rig");
     require(gram.size() == q * q * task.n_views && r2.size() == task.n * task.n_views && cost.size() == task.n_views,
             "an output has the wrong size");
     task.is_free = is_free.data(), task.scale = scale.data(), task.kernel = kernel_of(kernel);
     task.gram = gram.data(), task.r2 = r2.data(), task.cost = cost.data();
-    task.any_free = std::any_of(is_free.data(), is_free.data() + is_free.size(), [](bool free) { return free; });
-    const Work work = task.any_free ? model.views : model.held;
+    const Work work = n_free > 0 ? model.views : model.held;
     nb::gil_scoped_release unlocked;
     in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { work(task, first, last); });
 }
@@ -475,31 +499,27 @@ double median(const double* values, std::size_t n) {
     std::vector<std::uint32_t> count(std::size_t{1} << (64 - kShift), 0);
     auto bin_of = [](double value) { return std::bit_cast<std::uint64_t>(value) >> kShift; };
     for (std::size_t i = 0; i < n; ++i) ++count[bin_of(values[i])];
-    std::vector<double> bin;
-    auto nth = [&](std::size_t k) {
-        std::size_t chosen = 0, below = 0;
-        while (below + count[chosen] <= k) below += count[chosen++];
-        bin.clear();
-        for (std::size_t i = 0; i < n; ++i) {
-            if (bin_of(values[i]) == chosen) bin.push_back(values[i]);
-        }
-        auto less = [](double a, double b) { return std::bit_cast<std::uint64_t>(a) < std::bit_cast<std::uint64_t>(b); };
-        std::nth_element(bin.begin(), bin.begin() + (k - below), bin.end(), less);
-        return bin[k - below];
-    };
-    const double low = nth((n - 1) / 2);
-    if (n % 2 == 1) return low;
-    // The next larger one is in the same bin, unless low was its last.
-    std::size_t n_not_above = 0;
-    double high = std::numeric_limits<double>::quiet_NaN();
-    for (std::size_t i = 0; i < n; ++i) {
-        if (values[i] <= low) {
-            ++n_not_above;
-        } else if (!(values[i] >= high)) {
-            high = values[i];
-        }
+    const std::size_t k = (n - 1) / 2;
+    std::size_t chosen = 0, below = 0;
+    while (below + count[chosen] <= k) below += count[chosen++];
+    std::vector<double> bin(count[chosen] + 1);
+    for (std::size_t i = 0, kept = 0; i < n; ++i) {
+        bin[kept] = values[i];
+        kept += bin_of(values[i]) == chosen;
     }
-    return 0.5 * (low + (n_not_above > n / 2 ? low : high));
+    bin.pop_back();
+    auto less = [](double a, double b) { return std::bit_cast<std::uint64_t>(a) < std::bit_cast<std::uint64_t>(b); };
+    const auto middle = bin.begin() + (k - below);
+    std::nth_element(bin.begin(), middle, bin.end(), less);
+    if (n % 2 == 1) return *middle;
+    if (middle + 1 != bin.end()) return 0.5 * (*middle + *std::min_element(middle + 1, bin.end(), less));
+    while (count[++chosen] == 0) {
+    }
+    double high = std::numeric_limits<double>::infinity();  // the next larger one begins the next bin
+    for (std::size_t i = 0; i < n; ++i) {
+        if (bin_of(values[i]) == chosen) high = std::min(high, values[i], less);
+    }
+    return 0.5 * (*middle + high);
 }
 
 // Median of each rig's seen squared lengths over all cameras; 0 where nothing is seen.

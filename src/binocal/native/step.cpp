@@ -18,8 +18,8 @@ constexpr int kMaxGram = 20 * 20;  // brown8: 13 parameters, 6 pose columns, the
 constexpr int kMaxShared = 32;  // two brown8 cameras with skew, and the rig
 
 struct CameraPart {
-    const double* gram;       // (rigs, views, q, q)
-    int p;                    // parameters of the model, before the six pose columns
+    const double* gram;       // (rigs, views, q, q), q = p + 7
+    int p;                    // free parameters, before the six pose columns
     std::vector<int> keep;    // columns of the Gram matrix that are shared unknowns
     std::vector<int> place;   // and where they stand among those
 };
@@ -254,29 +254,26 @@ BINOCAL_INLINE void run_rigs(const Problem& problem, std::size_t first, std::siz
 
 BINOCAL_DISPATCH(steps_of_rigs, Problem, (run_rigs<lanes>(task, first, last)))
 
-void solve_steps(const std::vector<Doubles>& grams, const std::vector<Flags>& is_free, const Doubles& R,
-                 const Doubles& t, bool is_rig_free, const Doubles& prior_weight, const Doubles& prior_gradient,
+void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doubles& t, bool is_rig_free, const Doubles& prior_weight, const Doubles& prior_gradient,
                  const Doubles& growth, DoublesOut shared, DoublesOut views, DoublesOut predicted, DoublesOut reduced,
                  std::size_t n_threads) {
     auto require = [](bool holds, const char* what) {
         if (!holds) throw std::invalid_argument(what);
     };
-    require(!grams.empty() && grams.size() <= 2 && grams.size() == is_free.size(), "one or two cameras");
+    require(!grams.empty() && grams.size() <= 2, "one or two cameras");
     Problem problem{};
     const bool is_stereo = grams.size() == 2;
     int column = 0;
     for (std::size_t index = 0; index < grams.size(); ++index) {
         const Doubles& gram = grams[index];
-        require(gram.ndim() == 4 && gram.shape(2) == gram.shape(3) && gram.shape(2) == is_free[index].size() + 7,
+        require(gram.ndim() == 4 && gram.shape(2) == gram.shape(3) && gram.shape(2) >= 7,
                 "gram must be (rigs, views, q, q)");
         require(gram.shape(2) * gram.shape(3) <= kMaxGram, "too many columns");
         require(index == 0 || (gram.shape(0) == problem.n_rigs && gram.shape(1) == problem.n_views),
                 "the cameras' views differ");
         problem.n_rigs = gram.shape(0), problem.n_views = gram.shape(1);
-        CameraPart camera{gram.data(), static_cast<int>(is_free[index].size()), {}, {}};
-        for (int i = 0; i < camera.p; ++i) {
-            if (is_free[index].data()[i]) camera.keep.push_back(i), camera.place.push_back(column++);
-        }
+        CameraPart camera{gram.data(), static_cast<int>(gram.shape(2)) - 7, {}, {}};
+        for (int i = 0; i < camera.p; ++i) camera.keep.push_back(i), camera.place.push_back(column++);
         problem.cameras.push_back(std::move(camera));
     }
     if (is_stereo && is_rig_free) {

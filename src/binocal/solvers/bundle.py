@@ -209,7 +209,6 @@ def _equations(problem: BundleProblem, estimate: BundleEstimate, equations: Bund
         prior = (weight, -weight * own)
     return {
         "grams": tuple(e.gram for e in equations.cameras),
-        "is_free": tuple(c.is_free for c in problem.cameras),
         "T_right_left": (estimate.R_right_left, estimate.t_right_left) if problem.is_stereo else None,
         "is_rig_free": problem.is_rig_free,
         "prior": prior,

@@ -82,7 +82,7 @@ def residual_noise_px(problem: BundleProblem, minimum: Minimum) -> float:
 def inliers(problem: BundleProblem, minimum: Minimum) -> tuple[Bool[ndarray, "views n"], ...]:
     """Which seen corners carry weight at the minimum."""
     return tuple(
-        c.is_seen & (robust.weights(e.r2_px2, minimum.scale_px, minimum.kernel) > 0)
+        c.is_seen & robust.carries_weight(e.r2_px2, minimum.scale_px, minimum.kernel)
         for c, e in zip(problem.cameras, minimum.equations.cameras, strict=True)
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 Kernel = Literal["squared", "cauchy", "hampel"]
 
@@ -45,6 +45,13 @@ def weights(
     fall = np.clip((HAMPEL_END - q) / (HAMPEL_END - HAMPEL_DROP), 0, 1)
     w[beyond] = HAMPEL_FLAT * fall / q
     return w
+
+
+def carries_weight(
+    r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel
+) -> Bool[ndarray, "*batch"]:
+    """Whether a residual's weight is above 0."""
+    return r2 < (HAMPEL_END * scale_px) ** 2 if kernel == "hampel" else np.ones(r2.shape, dtype=bool)
 
 
 def costs(
