@@ -306,7 +306,7 @@ def _format(rows: list[dict[str, Any]], machine: str, pictures: int) -> str:
         f"corner error over the image-level bound, {BOARD}, {SIZE_WH[0]}x{SIZE_WH[1]}, {pictures} pictures a row ({machine})",
         "rms (worst and best picture) -corners failed; bias: mean error, px; 1 and 2 sigma: share within what is stated",
         "",
-        f"{'case':<20}" + "".join(f"{name:>24}" for name in names) + f"{'bias':>18}{'1, 2 sigma':>14}{'ms':>22}",
+        f"{'case':<20}" + "".join(f"{name:>28}" for name in names) + f"{'bias':>18}{'1, 2 sigma':>14}{'ms':>22}",
     ]
     for row in rows:
         ours = row["binocal"]
@@ -315,7 +315,7 @@ def _format(rows: list[dict[str, Any]], machine: str, pictures: int) -> str:
         times = "/".join(f"{row[name]['median_ms']:.1f}" for name in names)
         lines.append(
             f"{row['case']:<20}"
-            + "".join(f"{ratio(row[name]):>24}" for name in names)
+            + "".join(f"{ratio(row[name]):>28}" for name in names)
             + f"{bias:>18}{inside:>14}{times:>22}"
         )
     return "\n".join(lines)
