@@ -18,7 +18,17 @@ def _precision(**options: Any) -> dict[str, Any]:
     return run_precision_benchmark(**options)
 
 
-BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {"precision": _precision, "solver": _solver}
+def _corners(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.corners import run_corners_benchmark
+
+    return run_corners_benchmark(**options)
+
+
+BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
+    "corners": _corners,
+    "precision": _precision,
+    "solver": _solver,
+}
 
 
 def run(name: str, **options: Any) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -127,13 +128,13 @@ def _direction(cells: ndarray, points: ndarray) -> tuple[float, bool]:
 
 
 def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"], is_dark: bool) -> FoundBoard:
-    centres, variance = refine_centres(grey, blobs.select(index), is_dark=is_dark)
+    centres, variance, areas_px2 = refine_centres(grey, blobs.select(index), is_dark=is_dark)
     centres[index < 0] = np.nan
     xy = board.object_points_m[:, :2]
     seen = np.isfinite(centres[:, 0])
     if seen.sum() < 4:
         return not_found(board.n_points, "the circles are too faint to measure")
-    centres[seen] -= _centroid_shift(xy[seen], centres[seen], blobs.areas_px2[index][seen])
+    centres[seen] -= _centroid_shift(xy[seen], centres[seen], areas_px2[seen])
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
     centres[np.nonzero(seen)[0][find_irregular(xy[seen], centres[seen], spacing[seen])]] = np.nan
@@ -149,23 +150,43 @@ def _centroid_shift(
 ) -> Float[ndarray, "n 2"]:
     """Centroid of each disc's image minus the image of its centre, pixels.
 
-    Source: Heikkilä 2000, "Geometric camera calibration using circular control points"; there ellipses, here outlines.
-    The discs' radius follows from their areas in the picture; the lens bends the shift by less than a tenth of itself.
+    Source: Heikkilä 2000, "Geometric camera calibration using circular control points"; there ellipses under a
+    homography, here outlines under a homography and a polynomial for the lens, fitted to the centres as they get better.
+    The discs' radius follows from their areas in the picture.
     """
     scale = np.abs(xy - xy.mean(axis=0)).max()
     plane = (xy - xy.mean(axis=0)) / scale
-    H = fit_homography(plane, centres)
-    if not np.isfinite(H).all():
-        return np.zeros_like(centres)
-    step = 1e-3
-    along_x, along_y = np.array([step, 0.0]), np.array([0.0, step])
-    dx = (apply_homography(H, plane + along_x) - apply_homography(H, plane - along_x)) / (2 * step)
-    dy = (apply_homography(H, plane + along_y) - apply_homography(H, plane - along_y)) / (2 * step)
-    magnification = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
-    radius = float(np.sqrt(np.median(areas_px2 / magnification) / np.pi))
+    shift = np.zeros_like(centres)
     angle = np.arange(72) * (2 * np.pi / 72)
-    outline = apply_homography(H, plane[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-    following = np.roll(outline, -1, axis=1)
-    cross = outline[..., 0] * following[..., 1] - outline[..., 1] * following[..., 0]
-    centroid = ((outline + following) * cross[..., None]).sum(axis=1) / (3 * cross.sum(axis=1))[:, None]
-    return centroid - apply_homography(H, plane)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    for _ in range(2):  # the first round's centres are off by the shift itself, which bends the map by a tenth of it
+        to_picture = _fit_smooth_map(plane, centres - shift)
+        if to_picture is None:
+            return np.zeros_like(centres)
+        step = 1e-3
+        along_x, along_y = np.array([step, 0.0]), np.array([0.0, step])
+        dx = (to_picture(plane + along_x) - to_picture(plane - along_x)) / (2 * step)
+        dy = (to_picture(plane + along_y) - to_picture(plane - along_y)) / (2 * step)
+        magnification = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
+        radius = float(np.sqrt(np.median(areas_px2 / magnification) / np.pi))
+        outline = to_picture((plane[:, None] + radius * circle).reshape(-1, 2)).reshape(len(plane), -1, 2)
+        following = np.roll(outline, -1, axis=1)
+        cross = outline[..., 0] * following[..., 1] - outline[..., 1] * following[..., 0]
+        centroid = ((outline + following) * cross[..., None]).sum(axis=1) / (3 * cross.sum(axis=1))[:, None]
+        shift = centroid - to_picture(plane)
+    return shift
+
+
+def _fit_smooth_map(plane: Float[ndarray, "n 2"], points: Float[ndarray, "n 2"]) -> Callable[[ndarray], ndarray] | None:
+    """Plane to picture: a homography and, where points are enough, a polynomial; None if degenerate."""
+    H = fit_homography(plane, points)
+    if not np.isfinite(H).all():
+        return None
+    degree = 4 if len(plane) >= 30 else 3 if len(plane) >= 24 else 2 if len(plane) >= 15 else 0
+    powers = [(i, k - i) for k in range(degree + 1) for i in range(k + 1)]
+
+    def basis(xy: ndarray) -> ndarray:
+        return np.stack([xy[:, 0] ** i * xy[:, 1] ** j for i, j in powers], axis=-1)
+
+    lens = np.linalg.lstsq(basis(plane), points - apply_homography(H, plane), rcond=None)[0]
+    return lambda xy: apply_homography(H, xy) + basis(xy) @ lens

@@ -1,0 +1,321 @@
+"""Corners in rendered pictures: errors of binocal and of OpenCV over what the pictures allow at best.
+
+The bound of a corner is the inverse Fisher information of a nine-parameter saddle (position, two edge angles, blur,
+offset, contrast, two additive slopes of the grey value) over the pixels of the disc that binocal's fit takes (0.85 of
+the way to the next edge, 3 to 14 px), at the true corner, for the pixel noise that was rendered, rounding included.
+Everyone starts from the truth within a pixel, so that only refinement is compared; findChessboardCornersSB finds its
+own. Pictures differ by seed in pose, size and place of the board.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.boards import parse_board
+from binocal.cameras import Camera
+from binocal.detection.corner_fit import fit_corners
+from binocal.geometry import SE3
+from binocal.geometry.so3 import exp
+from binocal.simulation import RenderOptions, render_picture
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+BOARD = "chessboard:11x8:20mm"
+SIZE_WH = (1280, 960)
+BLURS_PX = (0.5, 0.8, 1.2, 2.0, 3.0)
+NOISES_DN = (1.0, 3.0, 10.0)
+MAX_START_PX = 1.0
+OUTLIER_PX = 0.5  # an error beyond it is counted as a failure, else one corner taken for another decides the rms
+_MIN_RADIUS_PX, _MAX_RADIUS_PX, _PER_REACH = 3.0, 14.0, 0.85
+
+
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """One row of the table: how the pictures are rendered, and whether they pass through JPEG."""
+
+    name: str
+    options: dict[str, Any]
+    is_jpeg: bool = False
+
+
+@dataclass(slots=True)
+class _Tally:
+    """Errors of one method in one case."""
+
+    errors_px: list[ndarray] = field(default_factory=list)
+    whitened: list[ndarray] = field(default_factory=list)
+    times_s: list[float] = field(default_factory=list)
+    ratio_by_picture: list[float] = field(default_factory=list)
+    n_failed: int = 0
+
+
+def _cases(blurs_px: tuple[float, ...], noises_dn: tuple[float, ...]) -> list[_Case]:
+    rows = [
+        _Case(f"blur {blur:g}, noise {noise:g}", {"blur_px": blur, "noise_dn": noise})
+        for blur in blurs_px
+        for noise in noises_dn
+    ]
+    degraded = {"blur_px": 0.8, "noise_dn": 3.0}
+    return rows + [
+        _Case("disc blur 1.5", {**degraded, "blur_px": 1.5, "blur_kind": "disc"}),
+        _Case("gamma 2.2", {**degraded, "gamma": 2.2}),
+        _Case("JPEG 90", degraded, is_jpeg=True),
+        _Case("vignetting 40 %", {**degraded, "vignetting": 0.4}),
+        _Case("motion 2 px", {**degraded, "motion_px": (1.6, 1.2)}),
+        _Case("16 bit", {**degraded, "bit_depth": 16}),
+    ]
+
+
+def _shoot(case: _Case, seed: int) -> tuple[ndarray, Float[ndarray, "n 2"], Float[ndarray, "n 2"]]:
+    """A picture, its true corners (NaN outside) and starts beside them."""
+    import cv2
+
+    rng = np.random.default_rng(seed)
+    board, (width, height) = parse_board(BOARD), SIZE_WH
+    camera = Camera("brown4", SIZE_WH, np.r_[1.1 * width, 1.1 * width, width / 2, height / 2, 0, -0.1, 0.02, 0, 0])
+    points = board.object_points_m
+    extent = float(np.ptp(points[:, :2], axis=0).max())
+    tilt, way, roll = np.radians(rng.uniform(0, 60)), rng.uniform(0, 2 * np.pi), rng.uniform(-0.6, 0.6)
+    R = exp(tilt * np.array([np.cos(way), np.sin(way), 0.0])) @ exp(np.array([0.0, 0.0, roll]))
+    distance = extent * rng.uniform(1.4, 3.5)
+    place = np.r_[rng.uniform(-0.12, 0.12, 2) * (distance - extent), distance]
+    picture = render_picture(camera, SE3(R, place - R @ points.mean(axis=0)), board, RenderOptions(**case.options), rng)
+    image = picture.image
+    if case.is_jpeg:
+        image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], cv2.IMREAD_GRAYSCALE)
+    start = picture.corners_px + rng.uniform(-MAX_START_PX, MAX_START_PX, picture.corners_px.shape)
+    return image, picture.corners_px, start
+
+
+def _edges(corners: Float[ndarray, "n 2"]) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"]]:
+    """Directions (radians) of the two edges through each true corner, and the distance to the next edge, px."""
+    board = parse_board(BOARD)
+    grid = corners.reshape(board.rows, board.columns, 2)
+    along_x, along_y = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    cross = np.abs(along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0])
+    reach = cross / np.maximum(np.linalg.norm(along_x, axis=-1), np.linalg.norm(along_y, axis=-1))
+    angles = np.stack([np.arctan2(d[..., 1], d[..., 0]) for d in (along_x, along_y)], axis=-1)
+    return angles.reshape(-1, 2), reach.ravel()
+
+
+def corner_bound(
+    corner: Float[ndarray, "2"],
+    edges_rad: Float[ndarray, "2"],
+    *,
+    blur_px: float,
+    contrast_dn: float,
+    noise_dn: float,
+    radius_px: float,
+) -> Float[ndarray, "2 2"]:
+    """Least covariance of an unbiased estimate of a corner's position, px^2 (Cramér-Rao).
+
+    ``blur_px`` is the Gaussian's sigma with pixel integration included, ``contrast_dn`` bright minus dark. Derivatives of
+    the position, the angles and the blur are those of the exact blurred pattern of two crossing edges.
+    """
+    from scipy.special import erf
+
+    reach = int(np.ceil(radius_px)) + 1
+    centre = np.rint(corner)
+    v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1] + (centre - corner)[::-1, None, None]
+    inside = np.hypot(u, v) <= radius_px
+    u, v = u[inside], v[inside]
+    normals = np.stack([-np.sin(edges_rad), np.cos(edges_rad)], axis=-1)
+    along = np.stack([np.cos(edges_rad), np.sin(edges_rad)], axis=-1)
+    d1, d2 = (n[0] * u / blur_px + n[1] * v / blur_px for n in normals)
+    s1, s2 = (a[0] * u / blur_px + a[1] * v / blur_px for a in along)
+    rho = float(normals[0] @ normals[1])
+    rest = np.sqrt(1 - rho**2)
+    density = np.sqrt(2 / np.pi)
+    F1 = density * np.exp(-0.5 * d1**2) * erf((d2 - rho * d1) / (np.sqrt(2) * rest))
+    F2 = density * np.exp(-0.5 * d2**2) * erf((d1 - rho * d2) / (np.sqrt(2) * rest))
+    joint = 2 / (np.pi * rest) * np.exp(-0.5 * (d1**2 - 2 * rho * d1 * d2 + d2**2) / rest**2)
+    skew = np.sin(edges_rad[0] - edges_rad[1])
+    position = [-(F1 * normals[0][i] + F2 * normals[1][i]) / blur_px for i in (0, 1)]
+    # The pattern itself, for the contrast's column, by Price's integral over the correlation.
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    arc = np.arcsin(rho)
+    F = erf(d1 / np.sqrt(2)) * erf(d2 / np.sqrt(2))
+    for t, w in zip(arc * (nodes + 1) / 2, arc * weights / np.pi, strict=True):
+        F = F + w * np.exp(-(d1**2 + d2**2 - 2 * d1 * d2 * np.sin(t)) / (2 * np.cos(t) ** 2))
+    half = 0.5 * contrast_dn
+    turn1, turn2 = -F1 * s1 - joint * skew, -F2 * s2 + joint * skew
+    columns = [half * c for c in (*position, turn1, turn2, F1 * d1 + F2 * d2)] + [np.ones_like(u), F, u, v]
+    J = np.stack(columns)
+    return noise_dn**2 * np.linalg.inv(J @ J.T)[:2, :2]
+
+
+def _levels(case: _Case) -> tuple[float, float, float]:
+    """Effective blur (px, pixel integration included), contrast and noise (grey levels of 8 bit) of a case's pictures."""
+    options = case.options
+    blur2 = options["blur_px"] ** 2 / 4 if options.get("blur_kind") == "disc" else options["blur_px"] ** 2
+    motion = options.get("motion_px", (0.0, 0.0))
+    blur2 += (
+        1 / 12 + 0.5 * (motion[0] ** 2 + motion[1] ** 2) / 12
+    )  # a uniform path, half of it across each of two edges
+    gamma = options.get("gamma", 1.0)
+    dark, bright = (255 * (level / 255) ** (1 / gamma) for level in (30.0, 210.0))
+    rounding2 = 0.0 if options.get("bit_depth") == 16 else 1 / 12
+    return float(np.sqrt(blur2)), bright - dark, float(np.sqrt(options["noise_dn"] ** 2 + rounding2))
+
+
+def _run_case(case: _Case, seeds: range) -> dict[str, _Tally]:
+    import cv2
+
+    board = parse_board(BOARD)
+    size = (board.columns, board.rows)
+    tallies = {name: _Tally() for name in ("binocal", "cornerSubPix", "SB", "SB accurate")}
+    blur_px, contrast_dn, noise_dn = _levels(case)
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+    for seed in seeds:
+        image, truth, start = _shoot(case, seed)
+        edges, reach = _edges(truth)
+        usable = np.isfinite(truth).all(axis=1) & (reach > 0)
+        margin = np.minimum(truth, np.array(SIZE_WH) - 1 - truth).min(axis=1)
+        radius = np.clip(_PER_REACH * reach, _MIN_RADIUS_PX, _MAX_RADIUS_PX)
+        usable &= margin > radius + 3
+        bound = np.full((len(truth), 2, 2), np.nan)
+        for i in np.nonzero(usable)[0]:
+            bound[i] = corner_bound(
+                truth[i], edges[i], blur_px=blur_px, contrast_dn=contrast_dn, noise_dn=noise_dn, radius_px=radius[i]
+            )  # fmt: skip
+        image8 = image if image.dtype == np.uint8 else np.rint(image / 257).astype(np.uint8)
+        half = int(np.clip(np.floor(0.38 * np.median(reach[usable])), 2, 11))
+
+        def fit(
+            image: ndarray = image, start: ndarray = start, reach: ndarray = reach
+        ) -> tuple[ndarray, ndarray | None]:
+            fitted = fit_corners(image, start, reach, board_xy=board.object_points_m[:, :2])
+            return fitted.points_px, fitted.covariance_px2
+
+        def sub_pix(
+            image: ndarray = image8, start: ndarray = start, half: int = half
+        ) -> tuple[ndarray, ndarray | None]:
+            end = np.full(start.shape, np.nan)
+            inside = (start > half + 1).all(axis=1) & (start < np.array(SIZE_WH) - half - 2).all(axis=1)
+            rough = start[inside].astype(np.float32)[:, None].copy()
+            end[inside] = cv2.cornerSubPix(image, rough, (half, half), (-1, -1), stop)[:, 0]
+            return end, None
+
+        def sector(flags: int, image: ndarray = image8, truth: ndarray = truth) -> tuple[ndarray, ndarray | None]:
+            found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
+            if not found:
+                return np.full(truth.shape, np.nan), None
+            corners = corners.reshape(-1, 2).astype(float)
+            return min((corners, corners[::-1]), key=lambda c: float(np.nanmedian(np.abs(c - truth)))), None
+
+        methods = {
+            "binocal": fit,
+            "cornerSubPix": sub_pix,
+            "SB": lambda: sector(0),
+            "SB accurate": lambda: sector(cv2.CALIB_CB_ACCURACY),
+        }
+        for name, method in methods.items():
+            begin = time.perf_counter()
+            points, covariance = method()
+            tallies[name].times_s.append(time.perf_counter() - begin)
+            _score(tallies[name], points - truth, covariance, bound, usable)
+    return tallies
+
+
+def _score(
+    tally: _Tally, error: ndarray, covariance: ndarray | None, bound: Float[ndarray, "n 2 2"], usable: ndarray
+) -> None:
+    """Add a picture's errors, relative to the bound's root mean square over the same corners."""
+    good = usable & (np.nan_to_num(np.linalg.norm(error, axis=1), nan=np.inf) < OUTLIER_PX)
+    tally.n_failed += int((usable & ~good).sum())
+    if not good.any():
+        return
+    tally.errors_px.append(error[good])
+    best2 = np.trace(bound[good], axis1=1, axis2=2)
+    tally.ratio_by_picture.append(float(np.sqrt(np.mean((error[good] ** 2).sum(axis=1) / best2))))
+    if covariance is not None:
+        root = np.linalg.cholesky(covariance[good])
+        tally.whitened.append(np.linalg.solve(root, error[good][..., None])[..., 0].ravel())
+
+
+def run_corners_benchmark(
+    *,
+    blurs_px: tuple[float, ...] = BLURS_PX,
+    noises_dn: tuple[float, ...] = NOISES_DN,
+    pictures: int = 6,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Errors over the bound, bias, coverage of the stated covariance and time per picture, for every case and method.
+
+    OpenCV's finder SB is timed with its search, the refinements without.
+    """
+    import cv2
+
+    rows = []
+    for case in _cases(blurs_px, noises_dn):
+        row: dict[str, Any] = {"case": case.name}
+        for name, tally in _run_case(case, range(seed, seed + pictures)).items():
+            row[name] = _summary(tally)
+        rows.append(row)
+    machine = (
+        f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}, OpenCV {cv2.__version__}"
+    )
+    return {
+        "benchmark": "corners",
+        "board": BOARD,
+        "image_size": list(SIZE_WH),
+        "pictures": pictures,
+        "seed": seed,
+        "machine": machine,
+        "rows": rows,
+        "text": _format(rows, machine, pictures),
+    }
+
+
+def _summary(tally: _Tally) -> dict[str, Any] | None:
+    if not tally.errors_px:
+        return {"n_failed": tally.n_failed, "median_ms": 1e3 * float(np.median(tally.times_s))}
+    errors, ratios = np.concatenate(tally.errors_px), np.array(tally.ratio_by_picture)
+    summary: dict[str, Any] = {
+        "over_bound": float(np.sqrt(np.mean(ratios**2))),
+        "over_bound_range": [float(ratios.min()), float(ratios.max())],
+        "rms_px": float(np.sqrt(np.mean(errors**2))),
+        "bias_px": errors.mean(axis=0).tolist(),
+        "n_corners": len(errors),
+        "n_failed": tally.n_failed,
+        "median_ms": 1e3 * float(np.median(tally.times_s)),
+    }
+    if tally.whitened:
+        whitened = np.abs(np.concatenate(tally.whitened))
+        summary |= {"within_1_sigma": float(np.mean(whitened < 1)), "within_2_sigma": float(np.mean(whitened < 2))}
+    return summary
+
+
+def _format(rows: list[dict[str, Any]], machine: str, pictures: int) -> str:
+    def ratio(entry: dict[str, Any]) -> str:
+        if "over_bound" not in entry:
+            return "none found"
+        low, high = entry["over_bound_range"]
+        failed = f" -{entry['n_failed']}" if entry["n_failed"] else ""
+        return f"{entry['over_bound']:.2f} ({low:.2f}..{high:.2f}){failed}"
+
+    names = ("binocal", "cornerSubPix", "SB", "SB accurate")
+    lines = [
+        f"corner error over the image-level bound, {BOARD}, {SIZE_WH[0]}x{SIZE_WH[1]}, {pictures} pictures a row ({machine})",
+        "rms (worst and best picture) -corners failed; bias: mean error, px; 1 and 2 sigma: share within what is stated",
+        "",
+        f"{'case':<20}" + "".join(f"{name:>28}" for name in names) + f"{'bias':>18}{'1, 2 sigma':>14}{'ms':>22}",
+    ]
+    for row in rows:
+        ours = row["binocal"]
+        bias = "{:+.4f} {:+.4f}".format(*ours.get("bias_px", (np.nan, np.nan)))
+        inside = f"{ours.get('within_1_sigma', np.nan):.2f} {ours.get('within_2_sigma', np.nan):.2f}"
+        times = "/".join(f"{row[name]['median_ms']:.1f}" for name in names)
+        lines.append(
+            f"{row['case']:<20}"
+            + "".join(f"{ratio(row[name]):>28}" for name in names)
+            + f"{bias:>18}{inside:>14}{times:>22}"
+        )
+    return "\n".join(lines)
