@@ -12,7 +12,19 @@ def _solver(**options: Any) -> dict[str, Any]:
     return run_solver_benchmark(**options)
 
 
-BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {"solver": _solver}
+def _pipeline(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.pipeline import run_pipeline_benchmark
+
+    return run_pipeline_benchmark(**options)
+
+
+def _scale(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.scale import run_scale_benchmark
+
+    return run_scale_benchmark(**options)
+
+
+BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {"pipeline": _pipeline, "scale": _scale, "solver": _solver}
 
 
 def run(name: str, **options: Any) -> dict[str, Any]:
