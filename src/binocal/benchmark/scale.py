@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import multiprocessing
 import platform
-import resource
 import sys
 import tempfile
 import time
@@ -74,9 +73,19 @@ def _alone(work: Any, *arguments: Any) -> dict[str, Any]:
 
 
 def _measured(work: Any, *arguments: Any) -> dict[str, Any]:
-    result = work(*arguments)
-    unit = 1 if sys.platform == "darwin" else 1024  # ru_maxrss is bytes on macOS, kilobytes elsewhere
-    return result | {"peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6}
+    return work(*arguments) | {"peak_mb": _peak_mb()}
+
+
+def _peak_mb() -> float:
+    """Peak resident memory of this process alone; Linux's ru_maxrss holds the parent's too."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
+        return int(line.split()[1]) * 1024 / 1e6
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
 def _find_corners(pairs: list[PicturePair]) -> dict[str, Any]:
