@@ -139,3 +139,12 @@ def test_the_size_of_an_unknown_board(shoot):
 def test_what_is_no_picture_is_the_callers_mistake(image):
     with pytest.raises(ValueError, match="a picture is"):
         detect(image, parse_board("chessboard:9x6:30mm"))
+
+
+@pytest.mark.parametrize("dtype, unit", [(np.uint8, 1), (np.uint16, 16)])
+def test_stretching_leaves_room_for_what_is_brighter_than_almost_all_else(dtype, unit):
+    grey = (60 + 40 * np.random.default_rng(0).random((240, 320))).astype(dtype) * unit
+    grey[100:106, 150:156] = 115 * unit
+    picture, problem = stretch_8_bit(grey.astype(dtype))
+    assert not problem and 200 < picture[103, 153] <= 255
+    assert picture[103, 153] > picture[:90].max() + 20  # the percentiles alone would saturate both

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from binocal.detection.lattice import continues_beyond, find_lattices, link_corners, predict_missing
-from binocal.detection.xcorners import SaddlePicture, find_x_corners, read_rings, sample
+from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings, sample
 
 
 def smooth_of(image):
@@ -70,3 +70,30 @@ def test_sampling_is_bilinear_and_handles_many_points():
     points = np.random.default_rng(0).uniform(1, 18, (70_000, 2))
     assert np.allclose(sample(picture, points), points[:, 0] + 10 * points[:, 1], atol=0.4)  # remap: 1/32 px steps
     assert sample(picture, np.zeros((0, 2))).shape == (0,)
+
+
+def test_saddles_are_localised_from_two_pixels_away(shoot):
+    shot = shoot("chessboard:9x6:30mm", noise_dn=1.0)
+    spacing = np.full(54, 25.0)
+    rough = shot.corners_px + np.random.default_rng(0).uniform(-2, 2, (54, 2))
+    rough[7] = np.nan
+    found = localize_saddles(shot.image, rough, spacing)
+    error = np.linalg.norm(found - shot.corners_px, axis=1)
+    assert np.isnan(error[7]) and np.nanmax(error) < 0.3  # measured .15
+    flat = localize_saddles(np.full((60, 60), 90, np.uint8), np.array([[30.2, 30.4]]), np.array([12.0]))
+    assert np.allclose(flat, [[30.2, 30.4]])
+
+
+def test_parts_of_a_board_are_joined_across_a_gap(shoot):
+    saddles = saddles_of(shoot("chessboard:9x6:30mm", (0.1, 0.2, 0.1)).image)
+    corners = find_x_corners(saddles)
+    grid = lattices_of(saddles)[0].points_px
+    if grid.shape[0] > grid.shape[1]:
+        grid = grid.transpose(1, 0, 2)
+    gap = grid[:, 4]  # the links across this column are lost with its corners
+    is_kept = np.linalg.norm(corners.points_px[:, None] - gap[None], axis=-1).min(axis=1) > 3
+    rest = type(corners)(corners.points_px[is_kept], corners.rays_rad[is_kept], corners.contrast_dn[is_kept])
+    groups = link_corners(saddles, rest)
+    assert len(groups[0]) == 24 and len(groups[1]) == 24
+    lattices = find_lattices(saddles, rest, groups, size=(9, 6))
+    assert lattices[0].size == (9, 6) and lattices[0].n_seen == 54 and len(lattices) == 1

@@ -24,9 +24,23 @@ def _corners(**options: Any) -> dict[str, Any]:
     return run_corners_benchmark(**options)
 
 
+def _pipeline(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.pipeline import run_pipeline_benchmark
+
+    return run_pipeline_benchmark(**options)
+
+
+def _scale(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.scale import run_scale_benchmark
+
+    return run_scale_benchmark(**options)
+
+
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "corners": _corners,
+    "pipeline": _pipeline,
     "precision": _precision,
+    "scale": _scale,
     "solver": _solver,
 }
 

@@ -35,14 +35,16 @@ BATCH_RIGS, BATCH_VIEWS = 256, 20  # what the agent trains on
 PEER_LIMIT_PAIRS = 200  # the peer's time grows with the cube of the views
 
 
-def _scene(n_views: int, seed: int) -> tuple[StereoScene, Detections]:
+def scene(n_views: int, seed: int) -> tuple[StereoScene, Detections]:
+    """A simulated recording of the table-2 rig and its corners."""
     rng = np.random.default_rng(seed)
     rig, board = table2_rig(), parse_board(BOARD)
-    scene = StereoScene(rig, board, sample_board_poses(rig, board, n_views, rng))
-    return scene, simulate_detections(scene, rng, noise_px=NOISE_PX)
+    views = StereoScene(rig, board, sample_board_poses(rig, board, n_views, rng))
+    return views, simulate_detections(views, rng, noise_px=NOISE_PX)
 
 
-def _run_opencv(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]:
+def run_opencv(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]:
+    """Seconds, R and t of OpenCV calibrations of each camera and the joint solve."""
     import cv2
 
     points = [np.ascontiguousarray(detections.object_points_m, dtype=np.float32)] * detections.n_views
@@ -77,7 +79,7 @@ def run_solver_benchmark(
     """
     import cv2
 
-    methods = {"binocal": _run_binocal, "opencv": _run_opencv}
+    methods = {"binocal": _run_binocal, "opencv": run_opencv}
     if find_mrcal() is not None:
         methods["mrcal"] = _run_mrcal
     rows = []
@@ -85,8 +87,8 @@ def run_solver_benchmark(
         times: dict[str, list[float]] = {name: [] for name in methods}
         errors: dict[str, list[tuple[float, float]]] = {name: [] for name in methods}
         for round_index in range(rounds + 1):
-            scene, detections = _scene(n_views, seed + 1000 * round_index + n_views)
-            truth = scene.rig.T_right_left
+            truth_scene, detections = scene(n_views, seed + 1000 * round_index + n_views)
+            truth = truth_scene.rig.T_right_left
             for name, method in methods.items():
                 if name != "binocal" and n_views > PEER_LIMIT_PAIRS:
                     continue

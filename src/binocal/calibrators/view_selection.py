@@ -24,10 +24,9 @@ from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    assemble,
     linearize,
     prior_precision,
-    reduce_views,
+    shared_information,
 )
 from binocal.solvers.poses import estimate_board_poses
 
@@ -228,7 +227,7 @@ def _informations(
             np.broadcast_to(rig.T_right_left.t, (n, 3)),
         )
         blank = np.ones(n)
-        H = reduce_views(*assemble(problem, estimate, linearize(problem, estimate, blank, "squared")))[0]
+        H = shared_information(problem, estimate, linearize(problem, estimate, blank, "squared"))
         prior = np.concatenate([prior_precision(c)[c.is_free] for c in problem.cameras] + [np.zeros(6)])
         H = H - np.diag(prior)  # each view's equations hold the priors; they count once
         H[~seen] = 0

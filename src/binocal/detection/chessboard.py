@@ -126,9 +126,8 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
             scaled = cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         else:
             scaled = pyramid[halved]
-        if halved == halvings:
-            scaled = scaled.astype(np.float32)
-        saddles = SaddlePicture.of(cv2.GaussianBlur(scaled, (0, 0), sigma), radius_px)
+        # As float32: rounded to grey levels, a blurred corner's curvature drowns.
+        saddles = SaddlePicture.of(cv2.GaussianBlur(scaled.astype(np.float32), (0, 0), sigma), radius_px)
         corners = find_x_corners(saddles, most=most)
         groups = link_corners(saddles, corners)
         most_linked = max([most_linked, *map(len, groups[:1])])
@@ -152,7 +151,7 @@ def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
         (1, 0.8, 2.6, 0),
         (0, 1.5, 5.0, 7),
         (halvings, 1.5, 5.0, 7),
-        (0, 1.0, 3.0, 7),
+        (0, 2.0, 4.5, 7),
     ]
 
 

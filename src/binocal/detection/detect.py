@@ -68,10 +68,17 @@ def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:
 
 
 def stretch_8_bit(grey: ndarray) -> tuple[UInt8[ndarray, "h w"], str]:
-    """As :func:`stretch`, rounded to uint8 in 0..255; a picture that needs no stretching is returned as it is."""
+    """As :func:`stretch`, in uint8 and with room beyond the percentiles: a small board may be brighter than all else.
+
+    A picture that needs no stretching is returned as it is.
+    """
     low, gain, problem = _measure_range(grey)
     if problem or (grey.dtype == np.uint8 and gain == 1):
         return grey.astype(np.uint8, copy=False), problem
+    span = 255 / gain
+    least, most, _, _ = cv2.minMaxLoc(grey)
+    low, high = max(least, low - 0.5 * span), min(most, low + 1.5 * span)
+    gain = min(gain, 255 / (high - low))
     if grey.dtype == np.uint8:
         table = np.clip(np.rint((np.arange(256) - low) * gain), 0, 255).astype(np.uint8)
         return cv2.LUT(grey, table), ""

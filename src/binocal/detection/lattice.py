@@ -175,7 +175,7 @@ def _follow_edge(
     along = start[:, None] + way[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
     normal = (
         np.stack([-way[:, 1], way[:, 0]], axis=-1)[:, None]
-        * np.clip(0.22, 1.5 / np.maximum(length, 1), 0.4)[:, None, None]
+        * np.clip(0.15, 1.5 / np.maximum(length, 1), 0.4)[:, None, None]
     )
     step = sample(smooth, along + normal) - sample(smooth, along - normal)
     return (sign[:, None] * step > 0.3 * contrast[:, None]).all(axis=1)

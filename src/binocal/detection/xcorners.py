@@ -161,7 +161,7 @@ def localize_saddles(
         with np.errstate(divide="ignore", invalid="ignore"):
             shift = np.stack([b * e - 2 * c * d, b * d - 2 * a * e]) / determinant
         moved = centre + shift.T
-        is_near = (determinant < 0) & (np.abs(moved - points_px[index]) <= reach).all(axis=1)
+        is_near = (determinant < -1e-6) & (np.abs(moved - points_px[index]) <= reach).all(axis=1)
         points[index[is_near]] = moved[is_near]
     return points
 

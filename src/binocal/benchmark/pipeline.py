@@ -1,0 +1,186 @@
+"""PNG pairs to the rig with two threads: binocal, OpenCV's road, and the decoding of the files alone.
+
+OpenCV is given what it does best among its fast ways: the classic chessboard finder, ``cornerSubPix``, one calibration
+per camera and the joint stereo solve with five coefficients, its pictures read and searched by as many threads as
+binocal's. Everything is timed in turn in each round, so that what else the machine does strikes all alike.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binocal.benchmark.scenes import render_pairs
+from binocal.boards import parse_board
+from binocal.calibrators import calibrate
+from binocal.cameras import StereoRig
+from binocal.datasets.folder import PicturePair
+from binocal.detection import detect_pairs
+from binocal.geometry import so3
+
+BOARD = "chessboard:11x8:20mm"
+SIZE_WH = (1280, 960)
+MODEL = "brown5"
+N_THREADS = 2
+
+
+def run_pipeline_benchmark(*, pairs: int = 100, rounds: int = 3, seed: int = 0) -> dict[str, Any]:
+    """Render ``pairs`` pairs, then time every way ``rounds`` times after one round that warms the file cache.
+
+    Medians, spread, ratios to decoding alone, errors of the rig against the truth.
+    """
+    import cv2
+
+    own_threads = cv2.getNumThreads()
+    with tempfile.TemporaryDirectory(prefix="binocal-bench-") as folder:
+        rig, listed = render_pairs(Path(folder), pairs, BOARD, SIZE_WH, seed)
+        ways: dict[str, Callable[[], StereoRigLike]] = {
+            "decode": lambda: _decode(listed),
+            "binocal": lambda: _run_binocal(listed),
+            "opencv": lambda: _run_opencv(listed),
+            "binocal process": lambda: _run_process(Path(folder)),
+        }
+        times: dict[str, list[float]] = {name: [] for name in ways}
+        errors: dict[str, tuple[float, float]] = {}
+        try:
+            cv2.setNumThreads(1)
+            for round_index in range(rounds + 1):
+                for name, way in ways.items():
+                    start = time.perf_counter()
+                    found = way()
+                    if round_index:
+                        times[name].append(time.perf_counter() - start)
+                    if found is not None:
+                        errors[name] = _errors(*found, rig)
+        finally:
+            cv2.setNumThreads(own_threads)
+    rows = []
+    decode = np.array(times["decode"])
+    for name, seconds in times.items():
+        ratio = np.array(seconds) / decode
+        row: dict[str, Any] = {
+            "way": name,
+            "s": {"median": float(np.median(seconds)), "min": min(seconds), "max": max(seconds)},
+            "over_decode": {"median": float(np.median(ratio)), "min": float(ratio.min()), "max": float(ratio.max())},
+        }
+        if name in errors:
+            row["rotation_error_deg"], row["translation_error_mm"] = errors[name]
+        rows.append(row)
+    machine = (
+        f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, OpenCV {cv2.__version__}"
+    )
+    return {
+        "benchmark": "pipeline",
+        "board": BOARD,
+        "pairs": pairs,
+        "rounds": rounds,
+        "seed": seed,
+        "machine": machine,
+        "rows": rows,
+        "text": _format(rows, pairs, machine),
+    }
+
+
+StereoRigLike = tuple[np.ndarray, np.ndarray] | None
+
+
+def _decode(listed: Sequence[PicturePair]) -> None:
+    import cv2
+
+    paths = [str(path) for pair in listed for path in (pair.left_path, pair.right_path)]
+    with ThreadPoolExecutor(N_THREADS) as pool:
+        if any(picture is None for picture in pool.map(lambda path: cv2.imread(path, cv2.IMREAD_UNCHANGED), paths)):
+            raise RuntimeError("a rendered picture could not be decoded")
+
+
+def _run_binocal(listed: Sequence[PicturePair]) -> StereoRigLike:
+    found = detect_pairs(listed, parse_board(BOARD), n_threads=N_THREADS)
+    T = calibrate(found.detections, calibrator="lm", model=MODEL).rig.T_right_left
+    return T.R, T.t
+
+
+def _run_process(folder: Path) -> StereoRigLike:
+    """The command line from its start to ``rig.json``, in a process of its own."""
+    from binocal.formats.native import read_rig
+
+    output = folder / "rig.json"
+    command = [sys.executable, "-m", "binocal", "calibrate", "--left", str(folder / "left_*.png")]
+    command += ["--right", str(folder / "right_*.png"), "--board", BOARD, "--model", MODEL]
+    command += ["--output", str(output), "--force"]
+    path = os.pathsep.join(entry for entry in sys.path if entry)
+    subprocess.run(command, check=True, capture_output=True, env=os.environ | {"PYTHONPATH": path})
+    T = read_rig(output).T_right_left
+    return T.R, T.t
+
+
+def _run_opencv(listed: Sequence[PicturePair]) -> StereoRigLike:
+    import cv2
+
+    board = parse_board(BOARD)
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+
+    def find(path: Path) -> np.ndarray | None:
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        is_found, corners = cv2.findChessboardCorners(grey, (board.columns, board.rows), flags=flags)
+        if not is_found:
+            return None
+        return cv2.cornerSubPix(grey, np.ascontiguousarray(corners).reshape(-1, 1, 2), (5, 5), (-1, -1), stop)
+
+    paths = [path for pair in listed for path in (pair.left_path, pair.right_path)]
+    with ThreadPoolExecutor(N_THREADS) as pool:
+        corners = list(pool.map(find, paths))
+    both = [(a, b) for a, b in zip(corners[0::2], corners[1::2], strict=True) if a is not None and b is not None]
+    if len(both) < 3:
+        return None
+    cv2.setNumThreads(N_THREADS)
+    try:
+        left, right = [a for a, _ in both], [_same_way(a, b) for a, b in both]
+        points = [board.object_points_m.astype(np.float32)] * len(both)
+        _, K_l, d_l, _, _ = cv2.calibrateCamera(points, left, SIZE_WH, None, None)
+        _, K_r, d_r, _, _ = cv2.calibrateCamera(points, right, SIZE_WH, None, None)
+        flags = cv2.CALIB_USE_INTRINSIC_GUESS
+        result = cv2.stereoCalibrate(points, left, right, K_l, d_l, K_r, d_r, SIZE_WH, flags=flags)
+    finally:
+        cv2.setNumThreads(1)
+    return result[5], result[6].ravel()
+
+
+def _same_way(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The right corners in the left ones' order, where the finder numbered the two pictures from opposite ends."""
+    way_left, way_right = left[-1, 0] - left[0, 0], right[-1, 0] - right[0, 0]
+    return right if float(way_left @ way_right) > 0 else right[::-1].copy()
+
+
+def _errors(R: np.ndarray, t: np.ndarray, rig: StereoRig) -> tuple[float, float]:
+    truth = rig.T_right_left
+    return float(np.degrees(so3.angle_rad(R @ truth.R.T))), 1e3 * float(np.linalg.norm(t - truth.t))
+
+
+def _format(rows: list[dict[str, Any]], pairs: int, machine: str) -> str:
+    width, height = SIZE_WH
+    lines = [
+        f"{pairs} PNG pairs {width}x{height} to the rig, {N_THREADS} threads, {BOARD}, {MODEL} ({machine})",
+        f"{'way':>16} {'s (min..max)':>22} {'over decoding alone':>24} {'rotation deg':>13} {'translation mm':>15}",
+    ]
+    for row in rows:
+        s, r = row["s"], row["over_decode"]
+        error = "".join(
+            f" {row[key]:>{width}.{digits}f}" if key in row else ""
+            for key, width, digits in (("rotation_error_deg", 13, 5), ("translation_error_mm", 15, 5))
+        )
+        lines.append(
+            f"{row['way']:>16} {s['median']:>8.2f} ({s['min']:.2f}..{s['max']:.2f}) "
+            f"{r['median']:>10.2f} ({r['min']:.2f}..{r['max']:.2f}){error}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,138 @@
+"""Time and peak memory against the number of pairs: pictures to corners, and corners to a rig with ``--max-views``.
+
+Every row runs in a process of its own, so that its peak memory is its own. Pictures of a long recording are a few
+rendered pairs over and over: finding corners does not know it, and nothing is held between them. OpenCV's road on all
+corners is timed in the same rows as far as its cubic growth allows.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import platform
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binocal.benchmark.scenes import render_pairs
+from binocal.benchmark.solver import run_opencv, scene
+from binocal.boards import parse_board
+from binocal.calibrators import calibrate
+from binocal.calibrators.view_selection import select_views
+from binocal.datasets.folder import PicturePair
+from binocal.detection import detect_pairs
+from binocal.geometry import so3
+
+BOARD = "chessboard:11x8:20mm"
+SIZE_WH = (1280, 960)
+RENDERED_PAIRS = 8
+MAX_VIEWS = 50
+PEER_LIMIT_PAIRS = 100
+N_THREADS = 2
+
+
+def run_scale_benchmark(
+    *,
+    picture_pairs: tuple[int, ...] = (25, 50, 100, 200),
+    corner_pairs: tuple[int, ...] = (100, 300, 1000, 3000, 10_000),
+    seed: int = 0,
+) -> dict[str, Any]:
+    """One row per number of pairs: seconds, megabytes at the peak, and errors against the truth where there is one."""
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory(prefix="binocal-bench-") as folder:
+        _, pairs = render_pairs(Path(folder), RENDERED_PAIRS, BOARD, SIZE_WH, seed)
+        for n in picture_pairs:
+            repeated = [
+                PicturePair(f"{i:05d}", pairs[i % len(pairs)].left_path, pairs[i % len(pairs)].right_path)
+                for i in range(n)
+            ]
+            rows.append({"stage": "pictures", "pairs": n} | _alone(_find_corners, repeated))
+    for n in corner_pairs:
+        rows.append({"stage": "corners", "pairs": n} | _alone(_choose_and_solve, n, seed))
+        if n <= PEER_LIMIT_PAIRS:
+            rows[-1]["opencv_s"] = _alone(_solve_with_opencv, n, seed)["s"]
+    return {
+        "benchmark": "scale",
+        "board": BOARD,
+        "max_views": MAX_VIEWS,
+        "seed": seed,
+        "machine": f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}",
+        "rows": rows,
+        "text": _format(rows),
+    }
+
+
+def _alone(work: Any, *arguments: Any) -> dict[str, Any]:
+    """What ``work`` returns in a fresh process, with that process's peak memory."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_measured, work, *arguments).result()
+
+
+def _measured(work: Any, *arguments: Any) -> dict[str, Any]:
+    return work(*arguments) | {"peak_mb": _peak_mb()}
+
+
+def _peak_mb() -> float:
+    """Peak resident memory of this process alone; Linux's ru_maxrss holds the parent's too."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
+        return int(line.split()[1]) * 1024 / 1e6
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def _find_corners(pairs: list[PicturePair]) -> dict[str, Any]:
+    start = time.perf_counter()
+    found = detect_pairs(pairs, parse_board(BOARD), n_threads=N_THREADS)
+    return {"s": time.perf_counter() - start, "n_views": found.detections.n_views}
+
+
+def _choose_and_solve(n_pairs: int, seed: int) -> dict[str, Any]:
+    simulated, detections = scene(n_pairs, seed)
+    start = time.perf_counter()
+    selection = select_views(detections, MAX_VIEWS, model="brown5")
+    chosen = time.perf_counter()
+    T = calibrate(detections.select(selection.views), calibrator="lm", model="brown5").rig.T_right_left
+    truth = simulated.rig.T_right_left
+    return {
+        "s": time.perf_counter() - start,
+        "choose_s": chosen - start,
+        "n_views": len(selection.views),
+        "depth_sigma_percent": 100 * selection.depth_sigma,
+        "all_depth_sigma_percent": 100 * selection.all_depth_sigma,
+        "rotation_error_deg": float(np.degrees(so3.angle_rad(T.R @ truth.R.T))),
+        "translation_error_mm": 1e3 * float(np.linalg.norm(T.t - truth.t)),
+    }
+
+
+def _solve_with_opencv(n_pairs: int, seed: int) -> dict[str, Any]:
+    return {"s": run_opencv(scene(n_pairs, seed)[1])[0]}
+
+
+def _format(rows: list[dict[str, Any]]) -> str:
+    heads = (
+        "stage",
+        "pairs",
+        "s",
+        "ms per pair",
+        "peak MB",
+        "views",
+        "depth sigma %",
+        "of all views",
+        "OpenCV, all: s",
+    )
+    lines = ["".join(f"{head:>15}" for head in heads)]
+    for row in rows:
+        cells = [row["stage"], str(row["pairs"]), f"{row['s']:.2f}", f"{1e3 * row['s'] / row['pairs']:.2f}"]
+        cells += [f"{row['peak_mb']:.0f}", str(row["n_views"])]
+        for key, digits in (("depth_sigma_percent", 4), ("all_depth_sigma_percent", 4), ("opencv_s", 2)):
+            cells.append(f"{row[key]:.{digits}f}" if key in row else "")
+        lines.append("".join(f"{cell:>15}" for cell in cells).rstrip())
+    return "\n".join(lines)

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import pytest
+
+from binocal.benchmark import BENCHMARKS, run
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_pipeline_is_timed_against_its_peer_and_against_decoding():
+    table = run("pipeline", pairs=8, rounds=1, seed=1)
+    rows = {row["way"]: row for row in table["rows"]}
+    assert set(rows) == {"decode", "binocal", "opencv", "binocal process"}
+    assert rows["decode"]["over_decode"]["median"] == 1
+    assert all(row["s"]["min"] > 0 for row in rows.values())
+    assert rows["binocal"]["rotation_error_deg"] == pytest.approx(
+        rows["binocal process"]["rotation_error_deg"], rel=1e-6
+    )
+    assert rows["binocal"]["rotation_error_deg"] < 0.05 and rows["binocal"]["translation_error_mm"] < 0.5
+    assert "8 PNG pairs" in table["text"] and all(name in table["text"] for name in rows)
+
+
+def test_scale_reports_time_memory_and_what_the_choice_costs():
+    table = run("scale", picture_pairs=(6,), corner_pairs=(60, 120), seed=1)
+    pictures, *corners = table["rows"]
+    assert pictures["stage"] == "pictures" and pictures["n_views"] == 6 and pictures["peak_mb"] > 10
+    for row in corners:
+        assert row["n_views"] == 50 and row["depth_sigma_percent"] >= row["all_depth_sigma_percent"] > 0
+        assert row["translation_error_mm"] < 0.5
+    assert "opencv_s" in corners[0] and "opencv_s" not in corners[1]
+    assert table["text"].count("\n") == 3
+
+
+def test_unknown_benchmarks_are_named():
+    assert {"pipeline", "scale", "solver"} <= set(BENCHMARKS)
+    with pytest.raises(ValueError, match="known: pipeline"):
+        run("nothing")
