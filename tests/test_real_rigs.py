@@ -96,7 +96,7 @@ def test_a_room_of_boards_is_recognised(data_dir, board):
 
 def test_heat_maps_are_refused_view_by_view(data_dir):
     folder = data_dir / "thermal_stereo_aditya" / "heatmap"
-    with pytest.raises(BinocalError, match="principal point") as caught:
+    with pytest.raises(BinocalError, match=r"principal point|rotation between") as caught:
         app.calibrate_pictures(str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:7x6"))
     assert len(caught.value.rejected) == 16 and all(caught.value.rejected.values())
 

@@ -19,7 +19,7 @@ def test_the_table_has_every_peer_and_the_batches(monkeypatch):
 
 @pytest.mark.skipif(mrcal_peer.find_mrcal() is None, reason="no Python here has mrcal")
 def test_mrcal_finds_the_same_rig():
-    scene, detections = solver._scene(12, 3)
+    scene, detections = solver.scene(12, 3)
     elapsed_s, R, t = solver._run_mrcal(detections)
     truth = scene.rig.T_right_left
     assert elapsed_s > 0 and np.abs(R - truth.R).max() < 3e-3 and np.linalg.norm(t - truth.t) < 1e-3

@@ -29,6 +29,8 @@ MAX_FOCAL_SIGMA_SHARE = 0.05
 Fronto-parallel views leave 0.07-0.6 at 0.1-0.5 px, three good views 0.001-0.004.
 """
 WARN_FOCAL_SIGMA_SHARE = 0.01
+MAX_ROTATION_SIGMA_DEG = 1.0
+"""Standard deviation of the rotation between the cameras. Six weak views leave 0.05-0.3, three 0.1-0.7; a degree is 17 mm per metre."""
 MAX_BASELINE_SIGMA_SHARE = 0.2
 """Standard deviation of the translation over the baseline. One pose repeated leaves 0.4-3, six weak views 0.01-0.05."""
 MIN_NORMAL_SPREAD_DEG = 2.0
@@ -121,6 +123,13 @@ def check_observability(calibration: StereoCalibration) -> tuple[str, ...]:
                 f"pictures are cropped; move the board over the whole picture and {_ADD_TILTS}.",
                 describe_views(calibration),
             )
+    sigma_deg = float(np.degrees(max(sigma[f"rotation.{axis}"] for axis in "xyz")))
+    if sigma_deg > MAX_ROTATION_SIGMA_DEG:
+        raise DegenerateGeometryError(
+            "the views do not determine the rotation between the cameras (standard deviation "
+            f"{sigma_deg:.1f} deg); move the board over the whole of both pictures and {_ADD_TILTS}.",
+            describe_views(calibration),
+        )
     sigma_t = float(np.sqrt(sum(sigma[f"translation.{axis}"] ** 2 for axis in "xyz")))
     baseline = calibration.rig.baseline_m
     if sigma_t > MAX_BASELINE_SIGMA_SHARE * baseline:
