@@ -16,7 +16,7 @@ from binocal import __version__
 from binocal.calibrators.base import CalibrationOptions
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.detections import Detections
-from binocal.geometry import SE3, so3
+from binocal.geometry import SE3
 from binocal.result import (
     Covariance,
     Evidence,
@@ -45,11 +45,10 @@ def joint_problem(views: Detections, options: CalibrationOptions) -> BundleProbl
 
 def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> StereoRig:
     """The rig at an estimate."""
-    R = so3.project_to_rotation(estimate.R_right_left)
     return StereoRig(
         Camera(model, detections.left_size_wh, estimate.parameters[0]),
         Camera(model, detections.right_size_wh, estimate.parameters[1]),
-        SE3(R, estimate.t_right_left),
+        SE3(estimate.R_right_left, estimate.t_right_left),
         detections.is_metric,
     )
 
@@ -98,9 +97,7 @@ def summarize(
             "skew": options.skew,
             "seed": options.seed,
         },
-        evidence=Evidence(
-            detections, SE3(so3.project_to_rotation(minimum.estimate.R_left_board), minimum.estimate.t_left_board)
-        ),
+        evidence=Evidence(detections, SE3(minimum.estimate.R_left_board, minimum.estimate.t_left_board)),
     )
 
 

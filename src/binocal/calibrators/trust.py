@@ -39,7 +39,7 @@ MIN_NORMAL_SPREAD_DEG = 2.0
 Unless the focal lengths are known in spite of it.
 """
 PARALLEL_FOCAL_SIGMA_SHARE = 0.002
-MAX_SPACING_VIEWS = 20  # evenly chosen; more do not move the median spacing by 5 %
+MAX_SPACING_VIEWS = 12  # evenly chosen; more do not move the median spacing by 5 %
 MAX_OUTLIER_SHARE = 0.3  # a robust fit that drops more than this has chosen one story among several
 
 MAX_CENTRE_OFFSET_SHARE = 0.25

@@ -39,6 +39,11 @@ class CameraModel:
         return 5 + len(self.distortion_names)
 
     @property
+    def has_prior(self) -> bool:
+        """Whether any coefficient has a prior."""
+        return math.isfinite(self.prior_sigma)
+
+    @property
     def prior_precision(self) -> tuple[float, ...]:
         """1 / variance of the prior of each parameter, 0 where there is none (tangential terms are well determined)."""
         weight = self.prior_sigma**-2 if math.isfinite(self.prior_sigma) else 0.0

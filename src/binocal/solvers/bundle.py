@@ -168,7 +168,8 @@ def linearize(
     energy = np.zeros(cost.shape)
     for camera, parameters in zip(problem.cameras, estimate.parameters, strict=True):
         cost = np.where(np.all(parameters[..., :2] > 0, axis=-1), cost, np.inf)
-        energy = energy + 0.5 * (parameters**2 @ prior_precision(camera))
+        if camera.model.has_prior:
+            energy = energy + 0.5 * (parameters**2 @ prior_precision(camera))
     scale_px = np.broadcast_to(np.asarray(scale_px, dtype=float), cost.shape)
     return BundleEquations(equations, cost + scale_px**2 * energy, energy, scale_px)
 
@@ -198,9 +199,9 @@ def shared_information(
 
 def _equations(problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations) -> dict[str, Any]:
     """What the kernel needs to know of the normal equations."""
-    precision = [prior_precision(c)[c.is_free] for c in problem.cameras]
     prior = None
-    if any(own.any() for own in precision):
+    if any(c.model.has_prior for c in problem.cameras):
+        precision = [prior_precision(c)[c.is_free] for c in problem.cameras]
         held = np.zeros(problem.n_shared - sum(len(own) for own in precision))
         values = [p[..., c.is_free] for c, p in zip(problem.cameras, estimate.parameters, strict=True)]
         batch = equations.scale_px.shape
