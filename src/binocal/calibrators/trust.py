@@ -39,7 +39,7 @@ MIN_NORMAL_SPREAD_DEG = 2.0
 Unless the focal lengths are known in spite of it.
 """
 PARALLEL_FOCAL_SIGMA_SHARE = 0.002
-MAX_SPACING_VIEWS = 12  # evenly chosen; more do not move the median spacing by 5 %
+MAX_SPACING_VIEWS = 6  # evenly chosen; more do not move the median spacing by 5 %
 MAX_OUTLIER_SHARE = 0.3  # a robust fit that drops more than this has chosen one story among several
 
 MAX_CENTRE_OFFSET_SHARE = 0.25
@@ -173,8 +173,8 @@ def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
     unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     mean = unit.sum(axis=0)
     mean /= np.linalg.norm(mean)
-    angles = np.arctan2(np.linalg.norm(np.cross(unit, mean), axis=1), unit @ mean)
-    return float(np.degrees(np.sqrt(np.mean(angles**2))))
+    chords = np.minimum(np.linalg.norm(unit - mean, axis=1), 2.0)
+    return float(np.degrees(np.sqrt(np.mean((2 * np.arcsin(chords / 2)) ** 2))))
 
 
 def corner_spacing_px(detections: Detections) -> float:

@@ -10,6 +10,7 @@ The kernel holds no lock while it works and gives the same result for any number
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -81,7 +82,7 @@ def accumulate(
     *batch, n_views, n = is_seen.shape
     free = np.ones(parameters.shape[-1], dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
     q = int(np.count_nonzero(free)) + 7
-    n_rigs = int(np.prod(batch, dtype=int))
+    n_rigs = math.prod(batch)
     gram = np.empty((*batch, n_views, q, q))
     r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
     scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
@@ -100,7 +101,7 @@ def squared_lengths(
     is_seen: Bool[ndarray, "*batch views n"],
 ) -> Float[ndarray, "*batch views n"]:
     """Squared residual lengths alone. 0 where not seen, inf where not finite."""
-    n_rigs = int(np.prod(is_seen.shape[:-2], dtype=int))
+    n_rigs = math.prod(is_seen.shape[:-2])
     r2 = np.empty(is_seen.shape)
     arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
     _kernel.squared_lengths(model, *arrays, r2, _n_threads(r2.size // 4))
@@ -114,7 +115,7 @@ def robust_costs(
 ) -> Float[ndarray, "*batch"]:
     """Robust cost of squared residual lengths, summed over the last axis."""
     batch = r2_px2.shape[:-1]
-    n_rigs = int(np.prod(batch, dtype=int))
+    n_rigs = math.prod(batch)
     cost = np.empty(batch)
     scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
     _kernel.costs(np.ascontiguousarray(r2_px2, dtype=float).reshape(n_rigs, -1), scale, kernel, cost)
@@ -228,7 +229,7 @@ def _solve(
     out: tuple[ndarray, ndarray, ndarray, ndarray],
 ) -> None:
     n_views = grams[0].shape[-3]
-    n_rigs = int(np.prod(grams[0].shape[:-3], dtype=int))
+    n_rigs = math.prod(grams[0].shape[:-3])
     flat = [np.ascontiguousarray(gram).reshape(n_rigs, n_views, *gram.shape[-2:]) for gram in grams]
     R, t = (_NOTHING, _NOTHING) if T_right_left is None else T_right_left
     weight, gradient = (_NOTHING, _NOTHING) if prior is None else prior
