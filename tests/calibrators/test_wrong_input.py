@@ -137,6 +137,14 @@ def test_what_cannot_be_right_is_refused_by_name(clean, case):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("size_wh", [(1440, 1080), (1536, 1152), (1600, 1200), (1920, 1080), (1440, 960)])
+def test_a_size_a_little_too_large_is_said(clean, size_wh):
+    detections, reference, bound = clean
+    calibration = calibrate(wrong.state_image_size(detections, size_wh))
+    assert_right(calibration, reference, bound)
+    assert "check the image size" in said(calibration)
+
+
 def test_few_views_carry_their_number(clean):
     with pytest.raises(TooFewViewsError) as caught:
         calibrate(clean[0].select(np.arange(2)))

@@ -34,9 +34,6 @@ class StereoRig:
 
     @property
     def is_swapped(self) -> bool:
-        """True when the camera called right stands to the left of the other.
-
-        Or above it, if the rig is vertical, below is usual.
-        """
+        """True when the camera called right stands to the left of the other; a vertical rig has no such order."""
         t = self.T_right_left.t
         return bool(t[0] > 0) if abs(t[0]) >= abs(t[1]) else False
