@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy import ndarray
@@ -19,7 +20,8 @@ class Detections:
     """Corners of ``n_views`` views of one board of n points in two cameras.
 
     NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points
-    are metres.
+    are metres. Covariances say how well each corner was measured, NaN (or None for all of a camera's) where that is not
+    known; the solver trusts corners accordingly.
     """
 
     object_points_m: Float[ndarray, "n 3"]
@@ -29,6 +31,8 @@ class Detections:
     right_size_wh: tuple[int, int]
     names: tuple[str, ...]
     is_metric: bool = True
+    left_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
+    right_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
 
     def __post_init__(self) -> None:
         arrays = {}
@@ -69,6 +73,26 @@ class Detections:
         for size in (self.left_size_wh, self.right_size_wh):
             if len(size) != 2 or min(size) < 1:
                 raise ValueError(f"an image size is (width, height) in pixels; got {size}")
+        self._keep_covariances()
+
+    def _keep_covariances(self) -> None:
+        for side in ("left", "right"):
+            if getattr(self, f"{side}_covariance_px2") is None:
+                continue
+            covariance = np.array(getattr(self, f"{side}_covariance_px2"), dtype=float)
+            if covariance.shape != (*self.left_px.shape, 2):
+                raise ValueError(f"{side} covariances must be {(*self.left_px.shape, 2)}; got {covariance.shape}")
+            xx, xy, yx, yy = (covariance[..., i, j] for i in (0, 1) for j in (0, 1))
+            size2 = xx * yy * (1 + 1e-9)  # rounding makes a matrix of rank one no worse than that
+            is_covariance = (xx >= 0) & (yy >= 0) & ((xy - yx) ** 2 <= 1e-12 * size2) & (xy * yx <= size2)
+            is_wrong = ~is_covariance & ~np.isnan(covariance).any(axis=(-1, -2))
+            if is_wrong.any():
+                view, corner = np.argwhere(is_wrong)[0]
+                raise ValueError(
+                    f"{side} view {self.names[view]}, corner {corner}: not a covariance (NaN where unknown)"
+                )
+            covariance.setflags(write=False)
+            object.__setattr__(self, f"{side}_covariance_px2", covariance)
 
     @staticmethod
     def from_arrays(
@@ -80,11 +104,13 @@ class Detections:
         right_image_size_wh: tuple[int, int] | None = None,
         names: tuple[str, ...] | None = None,
         is_metric: bool = True,
+        left_covariance_px2: Float[ndarray, "views n 2 2"] | None = None,
+        right_covariance_px2: Float[ndarray, "views n 2 2"] | None = None,
     ) -> Detections:
         """Detections of plain arrays. The right camera's image size is the left's unless given.
 
         Raises:
-            ValueError: A shape is wrong.
+            ValueError: A shape is wrong, or a covariance is none.
             DataError: The numbers cannot be corners, or left and right differ in their number of views.
         """
         left_size = (int(image_size_wh[0]), int(image_size_wh[1]))
@@ -101,6 +127,8 @@ class Detections:
             right_size,
             tuple(names) if names is not None else tuple(f"{i:0{width}d}" for i in range(n_views)),
             is_metric,
+            left_covariance_px2,
+            right_covariance_px2,
         )
 
     @property
@@ -118,9 +146,32 @@ class Detections:
         """Which corners the right camera saw."""
         return np.isfinite(self.right_px[..., 0])
 
+    @property
+    def has_covariances(self) -> bool:
+        """Whether it is known of any corner how well it was measured."""
+        sides = (self.left_covariance_px2, self.right_covariance_px2)
+        return any(side is not None and bool(np.isfinite(side).any()) for side in sides)
+
     def select(self, views: Int[ndarray, "k"] | Bool[ndarray, "views"]) -> Detections:
         """The detections of some views only, in the order given."""
         index = np.arange(self.n_views)[views]
+        left, right = self.left_covariance_px2, self.right_covariance_px2
         return replace(
-            self, left_px=self.left_px[index], right_px=self.right_px[index], names=tuple(self.names[i] for i in index)
+            self,
+            left_px=self.left_px[index],
+            right_px=self.right_px[index],
+            names=tuple(self.names[i] for i in index),
+            left_covariance_px2=None if left is None else left[index],
+            right_covariance_px2=None if right is None else right[index],
         )
+
+    def reorder(self, side: Literal["left", "right"], orders: Mapping[int, Int[ndarray, "n"]]) -> Detections:
+        """The detections with one camera's corners in another order, view by view: corner i becomes ``order[i]``."""
+        changed = {}
+        for name in (f"{side}_px", f"{side}_covariance_px2"):
+            if orders and getattr(self, name) is not None:
+                array = getattr(self, name).copy()
+                for view, order in orders.items():
+                    array[view] = array[view][order]
+                changed[name] = array
+        return replace(self, **changed) if changed else self

@@ -109,11 +109,13 @@ class RejectedView:
 class Evidence:
     """What a rig was computed from.
 
-    The used views with repaired corner orders, and the board's pose in each of them.
+    The used views with repaired corner orders, the board's pose in each of them, and, where the corners carry
+    covariances, the misfit that was added to them (standard deviation of one coordinate).
     """
 
     detections: Detections
     T_left_board: SE3
+    misfit_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +130,8 @@ class StereoCalibration:
     covariance: Covariance
     rms: ResidualSummary
     noise_px: float
-    """Estimated standard deviation of one corner coordinate, pixels."""
+    """Estimated standard deviation of one corner coordinate, pixels; where corners carry covariances, that of as many
+    equal corners that would tell as much."""
     views: tuple[ViewResult, ...]
     rejected: tuple[RejectedView, ...] = ()
     warnings: tuple[str, ...] = ()

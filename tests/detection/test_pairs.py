@@ -40,7 +40,8 @@ def test_all_views_in_order_with_progress(folder, pictures):
     assert found.detections.left_size_wh == (640, 480) and found.detections.is_metric
     truth = np.stack([shot.corners_px for shot in pictures[0]])
     assert np.abs(found.detections.left_px - truth).max() < 0.15
-    assert found.left_covariance_px2.shape == (4, 42, 2, 2) and (found.right_covariance_px2[..., 0, 0] > 0).all()
+    covariances = found.detections.left_covariance_px2, found.detections.right_covariance_px2
+    assert covariances[0].shape == (4, 42, 2, 2) and (covariances[1][..., 0, 0] > 0).all()
     assert calls == [(i, 8) for i in range(1, 9)]
 
 

@@ -19,9 +19,13 @@ def accumulate(
     is_seen: ndarray,
     scale_px: float,
     kernel: robust.Kernel,
+    whitening: ndarray | None = None,
 ) -> tuple[ndarray, ndarray, ndarray]:
     """gram, r2 and cost of the views of one rig."""
     columns, depth = unweighted_columns(model, parameters, R, t, object_points, pixels, is_seen)
+    if whitening is not None:
+        a, b, c = np.moveaxis(whitening[:, None], 2, 0)
+        columns = np.stack([a * columns[:, :, 0], b * columns[:, :, 0] + c * columns[:, :, 1]], axis=2)
     r2 = np.sum(columns[:, -1] ** 2, axis=1)
     with np.errstate(all="ignore"):
         weight = robust.weights(r2, np.asarray(scale_px), kernel)

@@ -103,6 +103,32 @@ def test_columns_and_lengths_equal_the_numpy_statement(name):
     assert np.allclose(lengths2, np.sum(expected[:, -1] ** 2, axis=1), rtol=1e-11)
 
 
+@pytest.mark.parametrize("kernel", ["squared", "cauchy", "hampel"])
+@pytest.mark.parametrize("name", list(CAMERA_MODELS))
+def test_whitened_equations_equal_the_numpy_statement(name, kernel):
+    model, parameters, R, t, points, pixels, is_seen = make_views(name)
+    whitening = np.random.default_rng(1).uniform(0.2, 2.0, (len(R), 3, is_seen.shape[1]))
+    expected_gram, r2, cost = plain_accumulate.accumulate(
+        model, parameters, R, t, points, pixels, is_seen, 60.0, kernel, whitening
+    )
+    views = (name, parameters, R, t, points, pixels, is_seen)
+    result = accumulate(*views, np.asarray(60.0), kernel, whitening=whitening)
+    diagonal = np.einsum("vii->vi", expected_gram)
+    size = np.sqrt(diagonal[:, :, None] * diagonal[:, None]) + 1e-9
+    assert np.abs((result.gram - expected_gram) / size).max() < 1e-10  # measured 1e-12
+    assert np.allclose(result.r2_px2, r2, rtol=1e-12) and np.allclose(result.cost_px2, cost, rtol=1e-12)
+    assert np.allclose(squared_lengths(*views, whitening), r2, rtol=1e-11)
+
+
+@pytest.mark.parametrize("name", list(CAMERA_MODELS))
+def test_unit_whitening_changes_nothing(name):
+    _, *views = make_views(name)
+    one = np.broadcast_to(np.array([1.0, 0.0, 1.0])[:, None], (3, 3, views[-1].shape[1]))
+    plain = accumulate(name, *views, np.asarray(60.0), "hampel")
+    whitened = accumulate(name, *views, np.asarray(60.0), "hampel", whitening=one)
+    assert np.allclose(whitened.gram, plain.gram, rtol=1e-13) and np.allclose(whitened.r2_px2, plain.r2_px2, rtol=1e-13)
+
+
 @pytest.mark.parametrize("free", [(), (0,), (0, 1, 2, 3, 5, 6, 7, 8)])
 def test_held_parameters_get_no_columns(free):
     model, parameters, R, t, points, pixels, is_seen = make_views("brown8")
@@ -142,6 +168,8 @@ def test_wrong_shapes_are_refused():
         accumulate("brown5", parameters[:-1], R, t, points, pixels, is_seen, np.asarray(1.0), "hampel")
     with pytest.raises(ValueError, match="views, 2, n"):
         accumulate("brown5", parameters, R, t, points, pixels[:-1], is_seen, np.asarray(1.0), "hampel")
+    with pytest.raises(ValueError, match="views, 3, n"):
+        squared_lengths("brown5", parameters, R, t, points, pixels, is_seen, np.ones((2, 3, 20)))
     with pytest.raises(ValueError, match="camera model"):
         accumulate("pinhole", parameters, R, t, points, pixels, is_seen, np.asarray(1.0), "hampel")
 

@@ -5,21 +5,24 @@ The classical road, without the agent.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from binocal.calibrators import trust
 from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions
-from binocal.calibrators.summary import joint_problem, summarize
+from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.detections import Detections
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.initialization.clean_start import estimate_clean_start
 from binocal.initialization.consistency import Diagnosis, diagnose_views
 from binocal.result import RejectedView, StereoCalibration
 from binocal.solvers import robust
-from binocal.solvers.bundle import BundleEstimate, BundleProblem
+from binocal.solvers.bundle import BundleEstimate, BundleProblem, residual_lengths2
 from binocal.solvers.covariance import inliers
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
+from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
@@ -30,6 +33,8 @@ CLEAN_NOISE_SHARE = 0.01  # corner noise over corner spacing: half of what small
 CLEAN_CENTRE_SHARE = 0.08  # of the picture's size; lenses sit within 0.1
 CLEAN_FOCAL_SIGMA_SHARE = 0.005  # the scene's geometry is then beyond question: weak sets start at 0.01
 CLEAN_BASELINE_SIGMA_SHARE = 0.02
+MISFIT_ROUNDS = 3  # the second usually finds nothing to change
+MISFIT_SHARE = 0.1  # of the noise variance; less changes the weights by too little to matter
 MIN_VIEW_INLIER_SHARE = (
     0.5  # a view most of whose corners in one camera contradict the rest is not an observation of this board
 )
@@ -52,9 +57,8 @@ def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoC
         if len(used) < MIN_VIEWS:
             raise TooFewViewsError(len(used), MIN_VIEWS, {r.name: r.reason for r in rejected})
         views = diagnosis.detections.select(used)
-        problem = joint_problem(views, options)
         start = _start(diagnosis, used) if start is None else start
-        minimum, n = _solve(problem, start)
+        problem, minimum, misfit_px, n = solve_with_misfit(views, options, start, _solve)
         n_iterations += n
         bad = _misfits(views, problem, minimum) if minimum.is_converged else {}
         if not bad:
@@ -74,6 +78,7 @@ def calibrate_lm(detections: Detections, options: CalibrationOptions) -> StereoC
         notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
         warnings=diagnosis.warnings,
         n_iterations=n_iterations,
+        misfit_px=misfit_px,
     )
     return trust.judged(calibration, is_converged=bool(minimum.is_converged))
 
@@ -90,14 +95,12 @@ def _calibrate_clean(detections: Detections, options: CalibrationOptions) -> Ste
     start = estimate_clean_start(detections, options.model)
     if start is None:
         return None
-    problem = joint_problem(detections, options)
     estimate = BundleEstimate(
         start.parameters, start.R_left_board, start.t_left_board, start.R_right_left, start.t_right_left
     )
-    minimum = minimize(problem, estimate, LoopOptions(max_iterations=CLEAN_ITERATIONS))
+    problem, minimum, misfit_px, n_iterations = solve_with_misfit(detections, options, estimate, _solve_clean)
     if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
         return None
-    n_iterations = int(minimum.n_iterations)
     try:
         calibration = summarize(
             detections,
@@ -109,6 +112,7 @@ def _calibrate_clean(detections: Detections, options: CalibrationOptions) -> Ste
             notes={},
             warnings=(),
             n_iterations=n_iterations,
+            misfit_px=misfit_px,
         )
         warnings = trust.check_observability(calibration)
     except CalibrationError:
@@ -119,17 +123,21 @@ def _calibrate_clean(detections: Detections, options: CalibrationOptions) -> Ste
 
 def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float) -> bool:
     """Whether every picture fits alike, and all of them as well as homographies of their own."""
-    counts, sums = [], []
-    for camera, e, used in zip(problem.cameras, minimum.equations.cameras, inliers(problem, minimum), strict=True):
+    counts, sums, plain_px2 = [], [], 0.0
+    lengths2 = plain_lengths2(problem, minimum)
+    for camera, e, used, px2 in zip(
+        problem.cameras, minimum.equations.cameras, inliers(problem, minimum), lengths2, strict=True
+    ):
         n_seen, n_used = camera.is_seen.sum(axis=1), used.sum(axis=1)
         if np.any(n_used < (1 - CLEAN_PICTURE_OUTLIER_SHARE) * n_seen):
             return False
         counts.append(n_seen)
         sums.append(np.sum(e.r2_px2, axis=1, where=used))
-    n_corners, px2 = np.concatenate(counts), np.concatenate(sums)
-    mean2 = px2 / n_corners
+        plain_px2 += float(np.sum(px2, where=used)) if problem.is_whitened else float(sums[-1].sum())
+    n_corners, whitened_px2 = np.concatenate(counts), np.concatenate(sums)
+    mean2 = whitened_px2 / n_corners
     even = mean2.max() < CLEAN_RATIO**2 * max(float(np.median(mean2)), robust.SCALE_FLOOR_PX**2)
-    rms_px = np.sqrt(px2.sum() / (2 * n_corners.sum()))
+    rms_px = np.sqrt(plain_px2 / (2 * n_corners.sum()))
     return bool(even and rms_px < CLEAN_HOMOGRAPHY_RATIO * homography_px + robust.SCALE_FLOOR_PX)
 
 
@@ -158,6 +166,39 @@ def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
         diagnosis.T_right_left.R,
         diagnosis.T_right_left.t,
     )
+
+
+def solve_with_misfit(
+    views: Detections,
+    options: CalibrationOptions,
+    start: BundleEstimate,
+    solve: Callable[[BundleProblem, BundleEstimate], tuple[Minimum, int]],
+) -> tuple[BundleProblem, Minimum, float, int]:
+    """The joint problem, its minimum, the misfit that its corner weights count, and the iterations it took.
+
+    All corners count alike at first: where the board or the lens model misfit, covariances alone would take half of the
+    corners for outliers. What the residuals exceed the covariances by is the misfit; with it the solve goes on from its
+    own end, until the misfit stands.
+    """
+    plain = problem = joint_problem(views, options)
+    minimum, n_iterations = solve(problem, start)
+    misfit_px = 0.0
+    for attempt in range(MISFIT_ROUNDS if views.has_covariances else 0):
+        if not minimum.is_converged:
+            break
+        found_px = estimate_misfit_px(views, residual_lengths2(plain, minimum.estimate))
+        if attempt and abs(found_px**2 - misfit_px**2) < MISFIT_SHARE * float(minimum.scale_px) ** 2:
+            break
+        misfit_px = found_px
+        problem = joint_problem(views, options, corner_weights(views, misfit_px))
+        minimum, n = solve(problem, minimum.estimate)
+        n_iterations += n
+    return problem, minimum, misfit_px, n_iterations
+
+
+def _solve_clean(problem: BundleProblem, start: BundleEstimate) -> tuple[Minimum, int]:
+    minimum = minimize(problem, start, LoopOptions(max_iterations=CLEAN_ITERATIONS))
+    return minimum, int(minimum.n_iterations)
 
 
 def _solve(problem: BundleProblem, start: BundleEstimate) -> tuple[Minimum, int]:
@@ -192,12 +233,13 @@ def _is_better(problem: BundleProblem, a: Minimum, b: Minimum) -> bool:
 def _misfits(views: Detections, problem: BundleProblem, minimum: Minimum) -> dict[int, str]:
     """Views most of whose corners in a camera got no weight, and why."""
     bad: dict[int, str] = {}
-    for side, camera, e, used in zip(
-        ("left", "right"), problem.cameras, minimum.equations.cameras, inliers(problem, minimum), strict=True
+    lengths2 = plain_lengths2(problem, minimum)
+    for side, camera, px2, used in zip(
+        ("left", "right"), problem.cameras, lengths2, inliers(problem, minimum), strict=True
     ):
         n_seen, n_used = camera.is_seen.sum(axis=1), used.sum(axis=1)
         for i in np.nonzero((n_seen > 0) & (n_used < MIN_VIEW_INLIER_SHARE * n_seen))[0]:
-            typical_px = float(np.sqrt(np.median(e.r2_px2[i][camera.is_seen[i]])))
+            typical_px = float(np.sqrt(np.median(px2[i][camera.is_seen[i]])))
             bad[int(i)] = (
                 f"{n_seen[i] - n_used[i]} of {n_seen[i]} {side} corners contradict the other views "
                 f"(typically {typical_px:.1f} px off); check the corner order and that both pictures were taken together"

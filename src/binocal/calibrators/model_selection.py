@@ -19,6 +19,7 @@ from binocal.result import Evidence, StereoCalibration
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.poses import estimate_board_poses
+from binocal.solvers.whitening import CornerWeights, corner_weights
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -85,12 +86,13 @@ def calibrate_with_best_model(
         return _with_choice(fits[name], name, reason, [], warn=True)
 
     noise_px = min(c.noise_px for c in fits.values())
+    misfit_px = min(e.misfit_px for e in evidence.values())
     trials = []
     for done, name in enumerate(names):
         if progress:
             progress("camera models", len(names) + done, 2 * len(names))
         if name in evidence:
-            trials.append(_hold_out(good, replace(options, model=name), fits[name], evidence[name], noise_px))
+            trials.append(_hold_out(good, replace(options, model=name), fits[name], noise_px, misfit_px))
         else:
             trials.append(
                 ModelTrial(name, None, str(failures.get(name, "no corners to hold out")), np.full(len(good), np.nan))
@@ -148,23 +150,24 @@ def _views_to_hold_out(evidence: Iterable[Evidence]) -> tuple[str, ...]:
 
 
 def _hold_out(
-    good: tuple[str, ...], options: CalibrationOptions, full: StereoCalibration, evidence: Evidence, noise_px: float
+    good: tuple[str, ...], options: CalibrationOptions, full: StereoCalibration, noise_px: float, misfit_px: float
 ) -> ModelTrial:
     """Cross-validate one model: each fold is solved anew from the full fit, without the views it is then tested on.
 
     The joint problem has one optimum in the basin that all calibrators end in, so the start saves time and does not
-    leak.
+    leak. Residuals are weighted alike for all models, with ``noise_px`` and ``misfit_px`` of the best.
     """
-    detections, T_left_board = evidence.detections, evidence.T_left_board
-    index = np.array([detections.names.index(name) for name in good])
+    evidence: Evidence = full.evidence
+    index = np.array([evidence.detections.names.index(name) for name in good])
+    detections, T_left_board = evidence.detections.select(index), evidence.T_left_board[index]
+    weights = corner_weights(detections, misfit_px)
     held_out = np.full(len(good), np.nan)
     folds = min(N_FOLDS, len(good) // 2)
     for fold in range(folds):
         is_test = np.arange(len(good)) % folds == fold
-        train, test = index[~is_test], index[is_test]
-        if len(train) < MIN_VIEWS:
+        if np.sum(~is_test) < MIN_VIEWS:
             continue
-        views, T = detections.select(train), T_left_board[train]
+        views, T = detections.select(~is_test), T_left_board[~is_test]
         start = BundleEstimate(
             (full.rig.left.parameters, full.rig.right.parameters),
             T.R,
@@ -172,20 +175,24 @@ def _hold_out(
             full.rig.T_right_left.R,
             full.rig.T_right_left.t,
         )
-        minimum = minimize(joint_problem(views, options), start, FOLD_OPTIONS)
+        problem = joint_problem(views, options, corner_weights(views, evidence.misfit_px))
+        minimum = minimize(problem, start, FOLD_OPTIONS)
         if not minimum.is_converged:
             continue
         rig = rig_of(minimum.estimate, views, options.model)
-        held_out[is_test] = held_out_px2(rig, detections.select(test), T_left_board[test], noise_px)
+        test = detections.select(is_test), T_left_board[is_test], weights.select(np.flatnonzero(is_test))
+        held_out[is_test] = held_out_px2(rig, *test, noise_px)
     return ModelTrial(options.model, full, "", held_out)
 
 
-def held_out_px2(rig: StereoRig, detections: Detections, T_left_board: SE3, noise_px: float) -> Float[ndarray, "views"]:
-    """Mean squared residual length of each view with the rig held and the board pose fitted.
+def held_out_px2(
+    rig: StereoRig, detections: Detections, T_left_board: SE3, weights: CornerWeights, noise_px: float
+) -> Float[ndarray, "views"]:
+    """Mean squared residual length of each view, whitened, with the rig held and the board pose fitted.
 
     Each length capped at 5 sigma.
     """
-    poses = estimate_board_poses(rig, detections, T_left_board)
+    poses = estimate_board_poses(rig, detections, T_left_board, weights)
     r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
     cap = max((RESIDUAL_CAP_SIGMA * noise_px) ** 2, 1e-12)
     out = np.full(detections.n_views, np.nan)

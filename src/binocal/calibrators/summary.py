@@ -26,21 +26,34 @@ from binocal.result import (
     StereoCalibration,
     ViewResult,
 )
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
+from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations, residual_lengths2
 from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
 from binocal.solvers.least_squares import Minimum
+from binocal.solvers.whitening import CornerWeights
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 
-def joint_problem(views: Detections, options: CalibrationOptions) -> BundleProblem:
-    """The joint problem of these views."""
-    model = camera_model(options.model)
+def joint_problem(
+    views: Detections, options: CalibrationOptions, weights: CornerWeights | None = None
+) -> BundleProblem:
+    """The joint problem of these views. All corners count alike without ``weights``."""
+    model, weights = camera_model(options.model), weights or CornerWeights()
     return BundleProblem(
         np.ascontiguousarray(views.object_points_m.T),
-        tuple(CameraObservations.from_corners(model, px, skew=options.skew) for px in (views.left_px, views.right_px)),
+        tuple(
+            CameraObservations.from_corners(model, px, skew=options.skew, whitening=whitening)
+            for px, whitening in ((views.left_px, weights.left), (views.right_px, weights.right))
+        ),
     )
+
+
+def plain_lengths2(problem: BundleProblem, minimum: Minimum) -> tuple[Float[ndarray, "views n"], ...]:
+    """Squared residual lengths of each camera in pixels, whatever the corners weigh."""
+    if problem.is_whitened:
+        return residual_lengths2(problem.unwhitened, minimum.estimate)
+    return tuple(e.r2_px2 for e in minimum.equations.cameras)
 
 
 def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> StereoRig:
@@ -64,6 +77,7 @@ def summarize(
     notes: Mapping[str, str],
     warnings: tuple[str, ...],
     n_iterations: int,
+    misfit_px: float = 0.0,
 ) -> StereoCalibration:
     """Rig, covariance, residuals per view, and the corners that were given no weight.
 
@@ -75,10 +89,11 @@ def summarize(
     noise_px = residual_noise_px(problem, minimum)
     covariance = shared_covariance(problem, minimum.estimate, minimum.equations, noise_px)
     used = inliers(problem, minimum)
-    r2 = [np.where(is_used, e.r2_px2, 0.0) for is_used, e in zip(used, minimum.equations.cameras, strict=True)]
-    views = _view_results(detections, problem, minimum, used, r2, notes)
-    left_px, right_px = (_rms(lengths2.sum(), is_used.sum()) for lengths2, is_used in zip(r2, used, strict=True))
-    all_px = _rms(sum(lengths2.sum() for lengths2 in r2), sum(is_used.sum() for is_used in used))
+    lengths2 = plain_lengths2(problem, minimum)
+    r2 = [np.where(is_used, px2, 0.0) for is_used, px2 in zip(used, lengths2, strict=True)]
+    views = _view_results(detections, problem, lengths2, used, r2, notes)
+    left_px, right_px = (_rms(px2.sum(), is_used.sum()) for px2, is_used in zip(r2, used, strict=True))
+    all_px = _rms(sum(px2.sum() for px2 in r2), sum(is_used.sum() for is_used in used))
     return StereoCalibration(
         rig=rig_of(minimum.estimate, detections, options.model),
         covariance=Covariance(shared_names(problem), covariance),
@@ -96,8 +111,9 @@ def summarize(
             "model": options.model,
             "skew": options.skew,
             "seed": options.seed,
+            "corner_weights": {"covariances": problem.is_whitened, "misfit_px": misfit_px},
         },
-        evidence=Evidence(detections, SE3(minimum.estimate.R_left_board, minimum.estimate.t_left_board)),
+        evidence=Evidence(detections, SE3(minimum.estimate.R_left_board, minimum.estimate.t_left_board), misfit_px),
     )
 
 
@@ -108,17 +124,15 @@ def _rms(total_px2: Float[ndarray, "*n"], count: Int[ndarray, "*n"]) -> Float[nd
 def _view_results(
     detections: Detections,
     problem: BundleProblem,
-    minimum: Minimum,
+    lengths2: tuple[Float[ndarray, "views n"], ...],
     used: tuple[Bool[ndarray, "views n"], ...],
     inlier_r2: list[Float[ndarray, "views n"]],
     notes: Mapping[str, str],
 ) -> tuple[ViewResult, ...]:
     outliers: dict[int, list[OutlierCorner]] = {}
-    for side, camera, e, is_used in zip(
-        ("left", "right"), problem.cameras, minimum.equations.cameras, used, strict=True
-    ):
+    for side, camera, px2, is_used in zip(("left", "right"), problem.cameras, lengths2, used, strict=True):
         for view, corner in np.argwhere(camera.is_seen & ~is_used).tolist():
-            distance_px = float(np.sqrt(e.r2_px2[view, corner]))
+            distance_px = float(np.sqrt(px2[view, corner]))
             outliers.setdefault(view, []).append(OutlierCorner(side, corner, distance_px))
     sums, counts = [r2.sum(axis=1) for r2 in inlier_r2], [is_used.sum(axis=1) for is_used in used]
     rows = zip(

@@ -20,6 +20,7 @@ from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.detections import Detections
 from binocal.errors import TooFewViewsError
 from binocal.geometry import SE3, so3
+from binocal.result import StereoCalibration
 from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
@@ -29,6 +30,7 @@ from binocal.solvers.bundle import (
     shared_information,
 )
 from binocal.solvers.poses import estimate_board_poses
+from binocal.solvers.whitening import CornerWeights, corner_weights
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -92,10 +94,11 @@ def select_views(
         raise TooFewViewsError(len(candidates), MIN_VIEWS)
     spread = np.unique(np.linspace(0, len(candidates) - 1, PILOT_VIEWS).round().astype(int))
     pilot = calibrate(detections.select(candidates[spread]), calibrator=calibrator, model=model, skew=skew, seed=seed)
-    information, prior, rms_px, distance_m = _informations(detections, candidates, pilot.rig, skew)
+    weights = corner_weights(detections, pilot.evidence.misfit_px)
+    information, prior, rms_px, distance_m = _informations(detections, weights, candidates, pilot.rig, skew)
     is_good = rms_px < MISFIT_FACTOR * np.median(rms_px[np.isfinite(rms_px)])
     misfits = tuple(detections.names[i] for i in candidates[~is_good])
-    candidates, information = candidates[is_good], information[is_good] / pilot.noise_px**2
+    candidates, information = candidates[is_good], information[is_good] / _noise_px(pilot, weights) ** 2
     target = depth_target(pilot.rig, float(np.median(distance_m[is_good])), skew=skew)
     # Scaled so that the sum of all views has a unit diagonal: pixels and distortion differ by 10^8 in their squares.
     total = prior + information.sum(axis=0)
@@ -204,20 +207,30 @@ def _neighbours(rig: StereoRig, skew: bool) -> list[tuple[StereoRig, StereoRig, 
     return out
 
 
+def _noise_px(pilot: StereoCalibration, weights: CornerWeights) -> float:
+    """The pilot's noise in the unit of these weights."""
+    own = corner_weights(pilot.evidence.detections, pilot.evidence.misfit_px)
+    return pilot.noise_px if own.is_uniform else pilot.noise_px * weights.unit_px / own.unit_px
+
+
 def _informations(
-    detections: Detections, views: Int[ndarray, "k"], rig: StereoRig, skew: bool
+    detections: Detections, weights: CornerWeights, views: Int[ndarray, "k"], rig: StereoRig, skew: bool
 ) -> tuple[Float[ndarray, "k s s"], Float[ndarray, "s s"], Float[ndarray, "k"], Float[ndarray, "k"]]:
-    """Each view's information for a noise of 1 px, that of the models' priors, RMS residuals, distances of the boards."""
+    """Each view's information for a noise of 1 px, that of the models' priors, RMS residuals, distances of the boards.
+
+    Where corners have weights, the residuals are whitened and the noise is in their unit.
+    """
     blocks, rms, distances = [], [], []
     prior = np.zeros(0)
     for start in range(0, len(views), CHUNK_VIEWS):
-        chunk = detections.select(views[start : start + CHUNK_VIEWS])
-        poses = estimate_board_poses(rig, chunk)
+        chosen = views[start : start + CHUNK_VIEWS]
+        chunk, chunk_weights = detections.select(chosen), weights.select(chosen)
+        poses = estimate_board_poses(rig, chunk, weights=chunk_weights)
         r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
         seen = np.isfinite(r2).any(axis=1) & poses.is_found
         rms_px = np.full(len(seen), np.inf)
         rms_px[seen] = np.sqrt(np.nanmean(r2[seen], axis=1))
-        problem = _problem_per_view(chunk, rig, skew)
+        problem = _problem_per_view(chunk, chunk_weights, rig, skew)
         n = chunk.n_views
         estimate = BundleEstimate(
             tuple(np.broadcast_to(c.parameters, (n, len(c.parameters))) for c in (rig.left, rig.right)),
@@ -238,10 +251,15 @@ def _informations(
     return np.concatenate(blocks), np.diag(prior), np.concatenate(rms), np.concatenate(distances)
 
 
-def _problem_per_view(detections: Detections, rig: StereoRig, skew: bool) -> BundleProblem:
+def _problem_per_view(detections: Detections, weights: CornerWeights, rig: StereoRig, skew: bool) -> BundleProblem:
     """Every view as a rig of its own in a batch."""
-    cameras = []
-    for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px)):
-        observed = CameraObservations.from_corners(camera_model(camera.model), px, skew=skew)
-        cameras.append(replace(observed, pixels=observed.pixels[:, None], is_seen=observed.is_seen[:, None]))
-    return BundleProblem(np.ascontiguousarray(detections.object_points_m.T), tuple(cameras))
+    cameras = tuple(
+        CameraObservations.from_corners(
+            camera_model(camera.model), px, skew=skew, whitening=whitening
+        ).each_view_alone()
+        for camera, px, whitening in (
+            (rig.left, detections.left_px, weights.left),
+            (rig.right, detections.right_px, weights.right),
+        )
+    )
+    return BundleProblem(np.ascontiguousarray(detections.object_points_m.T), cameras)

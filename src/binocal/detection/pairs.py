@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,9 +26,6 @@ from binocal.detections import Detections
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
 from binocal.result import RejectedView
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
-
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's pictures; with fewer it is not clear which size the camera has
 MIN_SHARE_OF_HINT = 0.2  # of the pictures must agree on another size before it is proposed
 _SIDES = ("left", "right")
@@ -36,16 +33,11 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairDetections:
-    """The views in which at least one camera saw the board, the others with reasons, and sentences for the user.
-
-    Covariances are those of :class:`binocal.detection.found.FoundBoard`, view by view.
-    """
+    """The views in which at least one camera saw the board, the others with reasons, and sentences for the user."""
 
     detections: Detections
     rejected: tuple[RejectedView, ...]
     notes: tuple[str, ...]
-    left_covariance_px2: Float[ndarray, "views n 2 2"]
-    right_covariance_px2: Float[ndarray, "views n 2 2"]
     input_sha256: Mapping[str, str] = field(default_factory=dict)
     """Of ``left`` and ``right``: SHA-256 over the name and the SHA-256 of each readable picture, in order."""
 
@@ -112,13 +104,13 @@ def detect_pairs(
         sizes["right"],
         tuple(pairs[i].name for i in kept),
         board.is_metric,
+        covariances["left"],
+        covariances["right"],
     )
     return PairDetections(
         detections,
         tuple(rejected),
         tuple(notes),
-        covariances["left"],
-        covariances["right"],
         {side: _digest(pictures) for side, pictures in sides.items()},
     )
 

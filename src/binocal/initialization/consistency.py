@@ -118,7 +118,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
 
     consensus, symmetries = _find_consensus(cameras, detections)
     notes = [""] * detections.n_views
-    repaired = [px.copy() for px in pixels]
+    orders: tuple[dict[int, ndarray], dict[int, ndarray]] = ({}, {})
     weights = [camera.weights.copy() for camera in cameras]
     R, t = consensus.R_left_board.copy(), consensus.t_left_board.copy()
     for view in np.flatnonzero(consensus.symmetry >= 0):
@@ -128,7 +128,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
             k = int(consensus.symmetry[view])
             side = _culprit(int(view), k, consensus, cameras)
             applied = k if side == 1 else symmetries.inverse_of(k)
-            repaired[side][view] = repaired[side][view][symmetries.order[applied]]
+            orders[side][int(view)] = symmetries.order[applied]
             weights[side][view] = weights[side][view][symmetries.order[applied]]
             if side == 0:
                 motion = symmetries.motions[applied]
@@ -145,7 +145,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     _require(n_pairs, detections, reasons)
     R[~is_used], t[~is_used] = np.nan, np.nan
     return Diagnosis(
-        replace(detections, left_px=repaired[0], right_px=repaired[1]),
+        detections.reorder("left", orders[0]).reorder("right", orders[1]),
         is_used,
         tuple(RejectedView(detections.names[i], reasons[i]) for i in sorted(reasons)),
         tuple(notes),

@@ -46,29 +46,30 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     best = estimate_board_poses(rig, detections)
     residual_px = _typical_px(best)
     symmetries = board_symmetries(detections.object_points_m)
-    right_px, notes = detections.right_px.copy(), {}
+    orders, notes = {}, {}
     R, t = best.T_left_board.R.copy(), best.T_left_board.t.copy()
     is_found = best.is_found.copy()
     suspects = np.flatnonzero(residual_px > SUSPECT_PX)
     limit_px = residual_px / CLEAR_FACTOR
     for k in range(1, len(symmetries.names) if len(suspects) else 1):
         views = detections.select(suspects)
-        moved = replace(views, right_px=views.right_px[:, symmetries.order[k]])
+        moved = views.reorder("right", dict.fromkeys(range(views.n_views), symmetries.order[k]))
         poses = estimate_board_poses(rig, moved)
         for i in np.flatnonzero(_typical_px(poses) < limit_px[suspects]):
             view = suspects[i]
             limit_px[view] = _typical_px(poses)[i]
-            right_px[view] = moved.right_px[i]
+            orders[int(view)] = symmetries.order[k]
             R[view], t[view], is_found[view] = poses.T_left_board.R[i], poses.T_left_board.t[i], poses.is_found[i]
             notes[view] = (
                 f"view {detections.names[view]}: the right corner order was {symmetries.names[k]} against the left; "
                 "repaired."
             )
     has_pose = is_found[:, None, None]
+    ordered = detections.reorder("right", orders)
     ordered = replace(
-        detections,
-        left_px=np.where(has_pose, detections.left_px, np.nan),
-        right_px=np.where(has_pose, right_px, np.nan),
+        ordered,
+        left_px=np.where(has_pose, ordered.left_px, np.nan),
+        right_px=np.where(has_pose, ordered.right_px, np.nan),
     )
     return OrderedViews(ordered, SE3(R, t), tuple(notes[view] for view in sorted(notes)))
 

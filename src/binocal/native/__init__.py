@@ -39,8 +39,9 @@ class ViewEquations:
     """Normal equations of every view of one camera.
 
     ``gram`` is the weighted Gram matrix of the columns [free parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one.
-    ``r2_px2`` are unweighted squared residual lengths, 0 where a corner was not seen. ``cost_px2`` is the robust cost
-    per view; inf where a seen corner lies behind a camera that cannot see there, or where a number overflowed.
+    ``r2_px2`` are squared residual lengths, whitened where there is a whitening but without the robust weight, 0 where a
+    corner was not seen. ``cost_px2`` is the robust cost per view; inf where a seen corner lies behind a camera that
+    cannot see there, or where a number overflowed.
     """
 
     gram: Float[ndarray, "*batch views q q"]
@@ -73,11 +74,13 @@ def accumulate(
     scale_px: Float[ndarray, "*batch"],
     kernel: Literal["squared", "cauchy", "hampel"],
     is_free: Bool[ndarray, "p"] | None = None,
+    whitening: Float[ndarray, "*batch views 3 n"] | None = None,
 ) -> ViewEquations:
     """Linearise every corner of every view.
 
-    ``pixels`` must be finite where not seen too (any number). Parameters that are not ``is_free`` (default: all are)
-    get no columns.
+    ``pixels`` must be finite where not seen too (any number), and so must ``whitening``: a, b, c of the matrix
+    [[a, 0], [b, c]] that a corner's residual and columns are multiplied by. Parameters that are not ``is_free``
+    (default: all are) get no columns.
     """
     *batch, n_views, n = is_seen.shape
     free = np.ones(parameters.shape[-1], dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
@@ -87,7 +90,7 @@ def accumulate(
     r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
     scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
     arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
-    _kernel.accumulate(model, *arrays, free, scale, kernel, gram, r2, cost, _n_threads(r2.size))
+    _kernel.accumulate(model, *arrays, _given(whitening), free, scale, kernel, gram, r2, cost, _n_threads(r2.size))
     return ViewEquations(gram, r2, cost)
 
 
@@ -99,12 +102,13 @@ def squared_lengths(
     object_points: Float[ndarray, "3 n"],
     pixels: Float[ndarray, "*batch views 2 n"],
     is_seen: Bool[ndarray, "*batch views n"],
+    whitening: Float[ndarray, "*batch views 3 n"] | None = None,
 ) -> Float[ndarray, "*batch views n"]:
-    """Squared residual lengths alone. 0 where not seen, inf where not finite."""
+    """Squared residual lengths alone, as those of :func:`accumulate`. 0 where not seen, inf where not finite."""
     n_rigs = math.prod(is_seen.shape[:-2])
     r2 = np.empty(is_seen.shape)
     arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
-    _kernel.squared_lengths(model, *arrays, r2, _n_threads(r2.size // 4))
+    _kernel.squared_lengths(model, *arrays, _given(whitening), r2, _n_threads(r2.size // 4))
     return r2
 
 
@@ -214,6 +218,10 @@ def reduced_information(
 
 
 _NOTHING = np.empty(0)
+
+
+def _given(whitening: ndarray | None) -> ndarray:
+    return _NOTHING if whitening is None else np.ascontiguousarray(whitening, dtype=float)
 
 
 def _n_shared(grams: tuple[ndarray, ...], is_rig_free: bool) -> int:

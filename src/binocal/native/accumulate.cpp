@@ -28,6 +28,7 @@ struct Task {
     std::size_t n_views, views_per_rig, n;  // views of all rigs, views of one, corners of a view
     int p;                                  // parameters of the model
     const double *parameters, *R, *t, *points, *pixels, *scale;
+    const double* whitening;  // (views, 3, n): a, b, c of every corner's [[a, 0], [b, c]]; null where all corners are alike
     const bool *is_seen, *is_free;
     bool sees_behind;
     Kernel kernel;
@@ -322,6 +323,16 @@ BINOCAL_INLINE void scale_column(double* column, const double* weight, std::size
     }
 }
 
+// A column's u and v runs times every corner's [[a, 0], [b, c]].
+BINOCAL_INLINE void whiten_column(double* u, double* v, const double* whitening, std::size_t n) {
+    const double *a = whitening, *b = a + n, *c = b + n;
+    BINOCAL_INDEPENDENT
+    for (std::size_t j = 0; j < n; ++j) {
+        v[j] = b[j] * u[j] + c[j] * v[j];
+        u[j] = a[j] * u[j];
+    }
+}
+
 template <class Model, bool Full, int lanes>
 BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
     constexpr int p = Model::n_parameters, q = p + 7;
@@ -343,6 +354,14 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
             int n_behind = 0;
             for (std::size_t j = 0; j < n; ++j) n_behind += seen[j] & (s.Z[j] <= 0);
             is_impossible = n_behind > 0;
+        }
+        if (task.whitening) {
+            for (int i = 0; i < m; ++i) {
+                double* c = s.J + i * s.stride;
+                whiten_column(c, c + s.run, task.whitening + 3 * n * view, n);
+            }
+            const double *e_u = s.J + (m - 1) * s.stride, *e_v = e_u + s.run;
+            for (std::size_t j = 0; j < n; ++j) s.length2[j] = e_u[j] * e_u[j] + e_v[j] * e_v[j];
         }
         for (std::size_t j = 0; j < n; ++j) s.length2[j] = seen[j] ? s.length2[j] : 0.0;
         const double cost = robust_cost(task.kernel, s.length2, n, task.scale[view / task.views_per_rig]);
@@ -382,26 +401,41 @@ BINOCAL_INLINE void fill_columns(const Task& task, std::size_t first, std::size_
     }
 }
 
-template <class Model, int lanes>
-BINOCAL_INLINE void measure(const Task& task, std::size_t first, std::size_t last) {
+template <class Model, bool is_whitened>
+BINOCAL_INLINE void measure_as(const Task& task, std::size_t first, std::size_t last) {
     const std::size_t n = task.n;
     const double *x = task.points, *y = x + n, *z = y + n;
     for (std::size_t view = first; view < last; ++view) {
         const Model model(task.parameters + view / task.views_per_rig * task.p);
         const double *R = task.R + 9 * view, *t = task.t + 3 * view, *pixel = task.pixels + 2 * n * view;
         const bool* seen = task.is_seen + n * view;
+        const double *a = is_whitened ? task.whitening + 3 * n * view : nullptr, *b = is_whitened ? a + n : nullptr,
+                     *c = is_whitened ? b + n : nullptr;
         double* out = task.r2 + n * view;
         BINOCAL_INDEPENDENT
         for (std::size_t j = 0; j < n; ++j) {
             double u, v;
             model.project(R[0] * x[j] + R[1] * y[j] + R[2] * z[j] + t[0], R[3] * x[j] + R[4] * y[j] + R[5] * z[j] + t[1],
                           R[6] * x[j] + R[7] * y[j] + R[8] * z[j] + t[2], u, v);
-            const double e_u = pixel[j] - u, e_v = pixel[n + j] - v;
+            double e_u = pixel[j] - u, e_v = pixel[n + j] - v;
+            if constexpr (is_whitened) {
+                e_v = b[j] * e_u + c[j] * e_v;
+                e_u = a[j] * e_u;
+            }
             out[j] = e_u * e_u + e_v * e_v;
         }
         for (std::size_t j = 0; j < n; ++j) {
             out[j] = !seen[j] ? 0.0 : std::isfinite(out[j]) ? out[j] : std::numeric_limits<double>::infinity();
         }
+    }
+}
+
+template <class Model, int lanes>
+BINOCAL_INLINE void measure(const Task& task, std::size_t first, std::size_t last) {
+    if (task.whitening) {
+        measure_as<Model, true>(task, first, last);
+    } else {
+        measure_as<Model, false>(task, first, last);
     }
 }
 
@@ -445,30 +479,32 @@ void require(bool holds, const char* what) {
 }
 
 // Shapes: parameters (rigs, p), R (views, 3, 3), t (views, 3), points (3, n), pixels (views, 2, n), is_seen (views, n),
-// where views counts those of all rigs.
+// whitening (views, 3, n) or nothing, where views counts those of all rigs.
 Task make_task(const Copies& model, const Doubles& parameters, const Doubles& R, const Doubles& t, const Doubles& points,
-               const Doubles& pixels, const Flags& is_seen) {
+               const Doubles& pixels, const Flags& is_seen, const Doubles* whitening) {
     require(is_seen.ndim() == 2 && parameters.ndim() == 2 && points.ndim() == 2, "wrong number of dimensions");
     const std::size_t views = is_seen.shape(0), n = is_seen.shape(1), rigs = parameters.shape(0);
     require(parameters.shape(1) == static_cast<std::size_t>(model.n_parameters), "wrong number of parameters");
     require(R.size() == 9 * views && t.size() == 3 * views, "R or t does not match the views");
     require(points.shape(0) == 3 && points.shape(1) == n, "object points must be (3, n)");
     require(pixels.size() == 2 * views * n, "pixels must be (views, 2, n)");
+    require(!whitening || whitening->size() == 0 || whitening->size() == 3 * views * n, "whitening must be (views, 3, n)");
     require(rigs > 0 && views % rigs == 0, "the views do not divide among the rigs");
     Task task{};
     task.n_views = views, task.views_per_rig = std::max<std::size_t>(views / rigs, 1), task.n = n;
     task.p = model.n_parameters, task.sees_behind = model.sees_behind;
     task.parameters = parameters.data(), task.R = R.data(), task.t = t.data(), task.points = points.data();
     task.pixels = pixels.data(), task.is_seen = is_seen.data();
+    task.whitening = whitening && whitening->size() > 0 ? whitening->data() : nullptr;
     return task;
 }
 
 void accumulate(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
-                const Doubles& points, const Doubles& pixels, const Flags& is_seen, const Flags& is_free,
-                const Doubles& scale, const std::string& kernel, DoublesOut gram, DoublesOut r2, DoublesOut cost,
+                const Doubles& points, const Doubles& pixels, const Flags& is_seen, const Doubles& whitening,
+                const Flags& is_free, const Doubles& scale, const std::string& kernel, DoublesOut gram, DoublesOut r2, DoublesOut cost,
                 std::size_t n_threads) {
     const Copies& model = copies_of(name);
-    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen, &whitening);
     require(is_free.size() == static_cast<std::size_t>(task.p), "is_free must have one flag for each parameter");
     const std::size_t n_free = std::count(is_free.data(), is_free.data() + is_free.size(), true), q = n_free + 7;
     require(scale.size() == parameters.shape(0), "one scale for each rig");
@@ -551,10 +587,10 @@ void medians(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, 
 }
 
 void squared_lengths(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
-                     const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut r2,
-                     std::size_t n_threads) {
+                     const Doubles& points, const Doubles& pixels, const Flags& is_seen, const Doubles& whitening,
+                     DoublesOut r2, std::size_t n_threads) {
     const Copies& model = copies_of(name);
-    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen, &whitening);
     require(r2.size() == task.n * task.n_views, "the output has the wrong size");
     task.r2 = r2.data();
     nb::gil_scoped_release unlocked;
@@ -564,7 +600,7 @@ void squared_lengths(const std::string& name, const Doubles& parameters, const D
 void unweighted_columns(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
                         const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut columns) {
     const Copies& model = copies_of(name);
-    Task task = make_task(model, parameters, R, t, points, pixels, is_seen);
+    Task task = make_task(model, parameters, R, t, points, pixels, is_seen, nullptr);
     require(columns.size() == 2 * (model.n_parameters + 7) * task.n * task.n_views, "the output has the wrong size");
     task.columns = columns.data();
     nb::gil_scoped_release unlocked;

@@ -52,6 +52,28 @@ def simulate_detections(
     return detections
 
 
+def scatter_corners(
+    detections: Detections,
+    rng: np.random.Generator,
+    left_covariance_px2: Float[ndarray, "views n 2 2"],
+    right_covariance_px2: Float[ndarray, "views n 2 2"],
+) -> Detections:
+    """Moves every corner by Gaussian noise of its own covariance, and states that covariance."""
+    moved = []
+    for px, covariance in (
+        (detections.left_px, left_covariance_px2),
+        (detections.right_px, right_covariance_px2),
+    ):
+        moved.append(px + (np.linalg.cholesky(covariance) @ rng.standard_normal((*px.shape, 1)))[..., 0])
+    return replace(
+        detections,
+        left_px=moved[0],
+        right_px=moved[1],
+        left_covariance_px2=left_covariance_px2,
+        right_covariance_px2=right_covariance_px2,
+    )
+
+
 def add_outliers(detections: Detections, rng: np.random.Generator, *, share: float, distance_px: float) -> Detections:
     """Moves that share of each camera's seen corners (a whole number of them) by ``distance_px``, each its own way."""
 

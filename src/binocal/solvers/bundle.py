@@ -39,13 +39,15 @@ if TYPE_CHECKING:
 class CameraObservations:
     """One camera's corners, component-first, finite everywhere.
 
-    0 where not seen, and which of its parameters are free.
+    0 where not seen, and which of its parameters are free. ``whitening`` is that of
+    :class:`binocal.solvers.whitening.CornerWeights`, None where all corners are alike.
     """
 
     model: CameraModel
     pixels: Float[ndarray, "*batch views 2 n"]
     is_seen: Bool[ndarray, "*batch views n"]
     is_free: Bool[ndarray, "p"]
+    whitening: Float[ndarray, "*batch views 3 n"] | None = None
 
     @staticmethod
     def from_corners(
@@ -54,6 +56,7 @@ class CameraObservations:
         *,
         skew: bool = False,
         intrinsics: bool = True,
+        whitening: Float[ndarray, "*batch views 3 n"] | None = None,
     ) -> CameraObservations:
         """Observations of (views, n, 2) corners with NaN for unseen; ``intrinsics=False`` holds all parameters."""
         corners = np.asarray(corners_px, dtype=float)
@@ -61,7 +64,12 @@ class CameraObservations:
         pixels = np.ascontiguousarray(np.where(is_seen[..., None], corners, 0.0).swapaxes(-1, -2))
         is_free = np.full(model.n_parameters, intrinsics)
         is_free[4] = intrinsics and skew
-        return CameraObservations(model, pixels, is_seen, is_free)
+        return CameraObservations(model, pixels, is_seen, is_free, whitening)
+
+    def each_view_alone(self) -> CameraObservations:
+        """The views of one rig as a batch of rigs with one view each."""
+        whitening = None if self.whitening is None else self.whitening[:, None]
+        return replace(self, pixels=self.pixels[:, None], is_seen=self.is_seen[:, None], whitening=whitening)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +84,16 @@ class BundleProblem:
     def is_stereo(self) -> bool:
         """Two cameras rather than one."""
         return len(self.cameras) == 2
+
+    @property
+    def is_whitened(self) -> bool:
+        """Whether some corners count more than others."""
+        return any(c.whitening is not None for c in self.cameras)
+
+    @property
+    def unwhitened(self) -> BundleProblem:
+        """The same measurements with all corners alike: residuals in pixels."""
+        return replace(self, cameras=tuple(replace(c, whitening=None) for c in self.cameras))
 
     @property
     def n_shared(self) -> int:
@@ -145,10 +163,10 @@ def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple
 
 
 def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views n"], ...]:
-    """Squared residual lengths of each camera; 0 where not seen."""
+    """Squared residual lengths of each camera, whitened where it has a whitening; 0 where not seen."""
     poses = camera_poses(problem, estimate)
     return tuple(
-        squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen)
+        squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen, c.whitening)
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )
 
@@ -160,7 +178,17 @@ def linearize(
     poses = camera_poses(problem, estimate)
     equations = tuple(
         accumulate(
-            c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel, c.is_free
+            c.model.name,
+            parameters,
+            R,
+            t,
+            problem.object_points,
+            c.pixels,
+            c.is_seen,
+            scale_px,
+            kernel,
+            c.is_free,
+            c.whitening,
         )
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )

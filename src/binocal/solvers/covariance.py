@@ -21,6 +21,7 @@ from binocal.solvers.bundle import (
     shared_information,
 )
 from binocal.solvers.least_squares import Minimum
+from binocal.solvers.whitening import CornerWeights
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -96,10 +97,11 @@ def cramer_rao_bound(
     left_is_seen: Bool[ndarray, "views n"] | None = None,
     right_is_seen: Bool[ndarray, "views n"] | None = None,
     skew: bool = False,
+    weights: CornerWeights | None = None,
 ) -> Covariance:
     """Least covariance that any unbiased estimate of the rig can have.
 
-    From corners with Gaussian noise of ``noise_px`` per coordinate.
+    From corners with Gaussian noise of ``noise_px`` per coordinate; with ``weights``, of that noise once whitened.
 
     All board poses are unknown (nuisance) parameters. ``T_left_board`` holds one pose per view. The models' weak priors
     count as information, as they do in the estimate.
@@ -108,13 +110,17 @@ def cramer_rao_bound(
         DegenerateGeometryError: The scene leaves parameters undetermined.
     """
     n_views, n = len(T_left_board.t), len(object_points_m)
+    weights = weights or CornerWeights()
     cameras = []
-    for camera, is_seen in ((rig.left, left_is_seen), (rig.right, right_is_seen)):
+    for camera, is_seen, whitening in (
+        (rig.left, left_is_seen, weights.left),
+        (rig.right, right_is_seen, weights.right),
+    ):
         model = camera_model(camera.model)
         seen = np.ones((n_views, n), dtype=bool) if is_seen is None else np.asarray(is_seen, dtype=bool)
         is_free = np.ones(model.n_parameters, dtype=bool)
         is_free[4] = skew
-        cameras.append(CameraObservations(model, np.zeros((n_views, 2, n)), seen, is_free))
+        cameras.append(CameraObservations(model, np.zeros((n_views, 2, n)), seen, is_free, whitening))
     problem = BundleProblem(np.ascontiguousarray(np.asarray(object_points_m, dtype=float).T), tuple(cameras))
     truth = BundleEstimate(
         (rig.left.parameters, rig.right.parameters),

@@ -39,7 +39,7 @@ def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
 
     Unchanged unless its scale is at the floor.
 
-    Corners that the robust kernel gives no weight stay out; exact corners need no prior, so it is left out too.
+    Corners that the robust kernel gives no weight stay out; exact corners need neither prior nor whitening.
     """
     n_corners = sum(c.is_seen.size for c in problem.cameras)
     if minimum.scale_px > 1.5 * robust.SCALE_FLOOR_PX or n_corners > MAX_CORNERS:
@@ -51,7 +51,7 @@ def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
     clean = replace(
         problem,
         cameras=tuple(
-            replace(c, is_seen=seen, model=replace(c.model, prior_sigma=math.inf))
+            replace(c, is_seen=seen, model=replace(c.model, prior_sigma=math.inf), whitening=None)
             for c, seen in zip(problem.cameras, inlier, strict=True)
         ),
     )

@@ -20,6 +20,7 @@ from binocal.solvers.bundle import (
     select_rigs,
 )
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
+from binocal.solvers.whitening import CornerWeights
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -31,8 +32,8 @@ MIN_CORNERS = 4  # a planar pose has six unknowns; three corners leave several s
 class BoardPoses:
     """One pose per view. Where ``is_found`` is False (too few corners) the pose is the identity and means nothing.
 
-    ``left_r2_px2`` and ``right_r2_px2`` are squared residual lengths, NaN where a corner was not seen or the pose was
-    not found.
+    ``left_r2_px2`` and ``right_r2_px2`` are squared residual lengths, whitened where the corners have weights, NaN where
+    a corner was not seen or the pose was not found.
     """
 
     T_left_board: SE3
@@ -41,18 +42,20 @@ class BoardPoses:
     right_r2_px2: Float[ndarray, "views n"]
 
 
-def estimate_board_poses(rig: StereoRig, detections: Detections, start: SE3 | None = None) -> BoardPoses:
+def estimate_board_poses(
+    rig: StereoRig, detections: Detections, start: SE3 | None = None, weights: CornerWeights | None = None
+) -> BoardPoses:
     """Robust maximum-likelihood pose of the board in every view, intrinsics and rig held.
 
     ``start`` holds one ``T_left_board`` per view that is known to be close. Without it the closed-form poses of both
-    cameras are tried, and the one that fits both pictures better is kept.
+    cameras are tried, and the one that fits both pictures better is kept. All corners count alike without ``weights``.
     """
     if start is not None:
         is_found = detections.left_is_seen.sum(axis=1) + detections.right_is_seen.sum(axis=1) >= MIN_CORNERS
         candidates = [(start.R, start.t)]
     else:
         candidates, is_found = _closed_form_starts(rig, detections)
-    problem = _one_view_problems(rig, detections)
+    problem = _one_view_problems(rig, detections, weights or CornerWeights())
     best: Minimum | None = None
     for R, t in candidates:
         found = _solve(problem, rig, R, t, is_close=start is not None)
@@ -86,13 +89,18 @@ def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[tu
     return candidates, ~neither
 
 
-def _one_view_problems(rig: StereoRig, detections: Detections) -> BundleProblem:
+def _one_view_problems(rig: StereoRig, detections: Detections, weights: CornerWeights) -> BundleProblem:
     """Every view as a rig of its own in a batch, so that each has its own robust scale and damping."""
-    cameras = []
-    for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px)):
-        observed = CameraObservations.from_corners(camera_model(camera.model), px, intrinsics=False)
-        cameras.append(replace(observed, pixels=observed.pixels[:, None], is_seen=observed.is_seen[:, None]))
-    return BundleProblem(np.ascontiguousarray(detections.object_points_m.T), tuple(cameras), is_rig_free=False)
+    cameras = tuple(
+        CameraObservations.from_corners(
+            camera_model(camera.model), px, intrinsics=False, whitening=whitening
+        ).each_view_alone()
+        for camera, px, whitening in (
+            (rig.left, detections.left_px, weights.left),
+            (rig.right, detections.right_px, weights.right),
+        )
+    )
+    return BundleProblem(np.ascontiguousarray(detections.object_points_m.T), cameras, is_rig_free=False)
 
 
 def _solve(problem: BundleProblem, rig: StereoRig, R: ndarray, t: ndarray, *, is_close: bool) -> Minimum:

@@ -1,0 +1,85 @@
+"""Corner weights: the algebra, and the misfit that the covariances do not know of."""
+
+import numpy as np
+import pytest
+
+from binocal.detections import Detections
+from binocal.solvers.whitening import corner_weights, estimate_misfit_px, inverse_root
+
+
+def covariances(rng, *shape):
+    root = rng.normal(0, 0.05, (*shape, 2, 2)) + 0.05 * np.eye(2)
+    return root @ root.swapaxes(-1, -2)
+
+
+def detections_with(left, right, n_views=3, n=30):
+    px = np.random.default_rng(0).uniform(0, 400, (2, n_views, n, 2))
+    px[0, 1, :4] = np.nan
+    points = np.column_stack([np.arange(n), np.arange(n) % 5, np.zeros(n)])
+    return Detections.from_arrays(points, *px, (640, 480), left_covariance_px2=left, right_covariance_px2=right)
+
+
+def test_the_inverse_root_whitens():
+    covariance = covariances(np.random.default_rng(1), 3, 30)
+    a, b, c = np.moveaxis(inverse_root(covariance, 0.02), 1, 0)
+    root = np.stack([np.stack([a, 0 * a], -1), np.stack([b, c], -1)], -2)
+    widened = covariance + 0.02**2 * np.eye(2)
+    assert np.allclose(root @ widened @ root.swapaxes(-1, -2), np.eye(2), atol=1e-12)
+
+
+def test_without_covariances_all_corners_are_alike():
+    unknown = np.full((3, 30, 2, 2), np.nan)
+    assert corner_weights(detections_with(None, None)).is_uniform
+    assert corner_weights(detections_with(unknown, None)).is_uniform
+
+
+def test_equal_corners_weigh_one_and_a_corner_of_unknown_covariance_too():
+    equal = np.broadcast_to(0.1**2 * np.eye(2), (3, 30, 2, 2)).copy()
+    equal[0, 7] = np.nan
+    weights = corner_weights(detections_with(equal, None))
+    assert weights.unit_px == pytest.approx(0.1, rel=1e-4)  # the floor of 0.001 px stands beside it
+    one = np.broadcast_to(np.array([1.0, 0.0, 1.0])[:, None], (3, 3, 30))
+    assert np.allclose(weights.left, one) and np.allclose(weights.right, one)
+
+
+def test_the_unit_is_the_noise_of_as_many_equal_corners_that_tell_as_much():
+    rng = np.random.default_rng(2)
+    detections = detections_with(covariances(rng, 3, 30), covariances(rng, 3, 30))
+    weights = corner_weights(detections, 0.05)
+    seen = np.concatenate([detections.left_is_seen, detections.right_is_seen])
+    information = 0.5 * np.sum(np.concatenate([weights.left, weights.right]) ** 2, axis=1)[seen]
+    assert information.mean() == pytest.approx(1)
+    assert np.array_equal(weights.select(np.array([2, 0])).left, weights.left[[2, 0]])
+
+
+@pytest.mark.parametrize("misfit_px", [0.0, 0.05, 0.5])
+def test_a_misfit_is_found_from_the_residuals(misfit_px):
+    # 3000 corners: the median is known to 1.5 %
+    rng = np.random.default_rng(3)
+    left, right = (np.exp(rng.normal(0, 0.7, (50, 30, 1, 1))) * 0.05**2 * np.eye(2) for _ in range(2))
+    detections = detections_with(left, right, 50)
+    r2 = [
+        np.sum((c[..., 0, 0, None] + misfit_px**2) * rng.standard_normal((50, 30, 2)) ** 2, axis=-1)
+        for c in (left, right)
+    ]
+    assert estimate_misfit_px(detections, tuple(r2)) == pytest.approx(misfit_px, rel=0.05, abs=0.015)
+
+
+def test_what_is_no_covariance_is_refused():
+    good = covariances(np.random.default_rng(1), 3, 30)
+    bad = good.copy()
+    bad[2, 5, 0, 0] = -1
+    with pytest.raises(ValueError, match="right view 2, corner 5"):
+        detections_with(good, bad)
+    with pytest.raises(ValueError, match="left covariances must be"):
+        detections_with(good[:2], good)
+
+
+def test_views_are_selected_and_reordered_with_their_covariances():
+    good = covariances(np.random.default_rng(1), 3, 30)
+    detections = detections_with(good, None)
+    assert np.array_equal(detections.select([2, 1]).left_covariance_px2, good[[2, 1]])
+    turned = detections.reorder("left", {1: np.arange(30)[::-1]})
+    assert np.array_equal(turned.left_covariance_px2[1], good[1, ::-1])
+    assert np.array_equal(turned.left_px[1], detections.left_px[1, ::-1], equal_nan=True)
+    assert np.array_equal(turned.left_px[0], detections.left_px[0]) and turned.right_px is not None
