@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstring>
 
 #if defined(__GNUC__)
 #define BINOCAL_INLINE [[gnu::always_inline]] inline
@@ -61,11 +62,40 @@ struct VectorOf;
 template <>
 struct VectorOf<4> {
     typedef double type __attribute__((vector_size(32), aligned(8)));
+    typedef long long index __attribute__((vector_size(32)));
 };
 template <>
 struct VectorOf<8> {
     typedef double type __attribute__((vector_size(64), aligned(8)));
+    typedef long long index __attribute__((vector_size(64)));
 };
+#if defined(__clang__)
+#define BINOCAL_SHUFFLE(Index, a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define BINOCAL_SHUFFLE(Index, a, b, ...) __builtin_shuffle(a, b, Index{__VA_ARGS__})
+#endif
+
+// The sums of four vectors' entries, ((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7)) of each: a few shuffles for all of them.
+template <int lanes>
+BINOCAL_INLINE void store_sums(typename VectorOf<lanes>::type a, typename VectorOf<lanes>::type b,
+                               typename VectorOf<lanes>::type c, typename VectorOf<lanes>::type d, double* out) {
+    using Index [[maybe_unused]] = typename VectorOf<lanes>::index;
+    if constexpr (lanes == 8) {
+        const auto ab = BINOCAL_SHUFFLE(Index, a, b, 0, 8, 2, 10, 4, 12, 6, 14) +
+                        BINOCAL_SHUFFLE(Index, a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+        const auto cd = BINOCAL_SHUFFLE(Index, c, d, 0, 8, 2, 10, 4, 12, 6, 14) +
+                        BINOCAL_SHUFFLE(Index, c, d, 1, 9, 3, 11, 5, 13, 7, 15);
+        const auto halves = BINOCAL_SHUFFLE(Index, ab, cd, 0, 1, 8, 9, 4, 5, 12, 13) +
+                            BINOCAL_SHUFFLE(Index, ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
+        const auto sums = halves + BINOCAL_SHUFFLE(Index, halves, halves, 4, 5, 6, 7, 0, 1, 2, 3);
+        std::memcpy(out, &sums, 4 * sizeof(double));
+    } else {
+        const auto ab = BINOCAL_SHUFFLE(Index, a, b, 0, 4, 2, 6) + BINOCAL_SHUFFLE(Index, a, b, 1, 5, 3, 7);
+        const auto cd = BINOCAL_SHUFFLE(Index, c, d, 0, 4, 2, 6) + BINOCAL_SHUFFLE(Index, c, d, 1, 5, 3, 7);
+        const auto sums = BINOCAL_SHUFFLE(Index, ab, cd, 0, 1, 4, 5) + BINOCAL_SHUFFLE(Index, ab, cd, 2, 3, 6, 7);
+        std::memcpy(out, &sums, sizeof sums);
+    }
+}
 #endif
 
 // Upper triangle of J Jᵀ in 4 x 4 blocks, row-major in out (m, m). J has m rows of length stride, m a multiple of 4 and stride
@@ -75,11 +105,6 @@ BINOCAL_INLINE void gram_matrix(const double* J, std::size_t stride, int m, doub
 #if defined(__GNUC__)
     using Vector = typename VectorOf<lanes>::type;
     auto load = [](const double* from) __attribute__((always_inline)) { return *reinterpret_cast<const Vector*>(from); };
-    auto sum = [](Vector v) __attribute__((always_inline)) {
-        double total = (v[0] + v[1]) + (v[2] + v[3]);
-        if constexpr (lanes == 8) total += (v[4] + v[5]) + (v[6] + v[7]);
-        return total;
-    };
 #endif
     for (int row = 0; row < m; row += 4) {
         for (int column = row; column < m; column += 4) {
@@ -100,13 +125,10 @@ BINOCAL_INLINE void gram_matrix(const double* J, std::size_t stride, int m, doub
                 s30 += a3 * b0, s31 += a3 * b1, s32 += a3 * b2, s33 += a3 * b3;
             }
             double* o = out + row * m + column;
-            o[0] = sum(s00), o[1] = sum(s01), o[2] = sum(s02), o[3] = sum(s03);
-            o += m;
-            o[0] = sum(s10), o[1] = sum(s11), o[2] = sum(s12), o[3] = sum(s13);
-            o += m;
-            o[0] = sum(s20), o[1] = sum(s21), o[2] = sum(s22), o[3] = sum(s23);
-            o += m;
-            o[0] = sum(s30), o[1] = sum(s31), o[2] = sum(s32), o[3] = sum(s33);
+            store_sums<lanes>(s00, s01, s02, s03, o);
+            store_sums<lanes>(s10, s11, s12, s13, o + m);
+            store_sums<lanes>(s20, s21, s22, s23, o + 2 * m);
+            store_sums<lanes>(s30, s31, s32, s33, o + 3 * m);
 #else
             double sums[4][4][lanes] = {};
             for (std::size_t j = 0; j < stride; j += lanes) {

@@ -16,6 +16,7 @@ namespace {
 constexpr double kTiny = 1e-300;
 constexpr int kMaxGram = 20 * 20;  // brown8: 13 parameters, 6 pose columns, the residual
 constexpr int kMaxShared = 32;  // two brown8 cameras with skew, and the rig
+constexpr int kMaxColumns = 40;  // those and the gradient, in whole vectors
 
 struct CameraPart {
     const double* gram;       // (rigs, views, q, q), q = p + 7
@@ -109,12 +110,11 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
     std::fill(w.H.begin(), w.H.end(), 0.0);
     std::fill(w.g.begin(), w.g.end(), 0.0);
     std::fill(w.totals.begin(), w.totals.end(), 0.0);
-    double columns[kMaxShared * 6 + 6];
+    alignas(64) double W[6][kMaxColumns];  // a view's coupling, row after row, then in column s its gradient
     for (std::size_t view = 0; view < n_views; ++view) {
         double* A = w.L.data() + 36 * view;
-        double* W = columns;  // coupling, column after column, then the gradient of the view
         std::fill(A, A + 36, 0.0);
-        std::fill(W, W + 6 * (s + 1), 0.0);
+        for (auto& row : W) std::fill(row, row + s + 1, 0.0);
         for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
             const CameraPart& camera = problem.cameras[index];
             const int p = camera.p, q = p + 7, n_keep = static_cast<int>(camera.keep.size());
@@ -124,8 +124,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
                 double x[6];
                 for (int k = 0; k < 6; ++k) x[k] = row[p + k];
                 if (index == 1) adjoint_transposed(R, t, x);
-                double* to = W + 6 * camera.place[i];
-                for (int k = 0; k < 6; ++k) to[k] += x[k];
+                for (int k = 0; k < 6; ++k) W[k][camera.place[i]] += x[k];
             }
             double* total = w.totals.data() + index * kMaxGram;
             for (int i = 0; i < q * q; ++i) total[i] += G[i];
@@ -145,13 +144,13 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             }
             for (int i = 0; i < 6; ++i) {
                 for (int k = 0; k < 6; ++k) A[6 * i + k] += pose[i][k];
-                W[6 * s + i] += pose[6][i];
+                W[i][s] += pose[6][i];
             }
         }
         double trace = 0;
         double *scale = w.scale.data() + 6 * view, *diagonal = w.diagonals.data() + 6 * view;
         for (int i = 0; i < 6; ++i) trace += diagonal[i] = A[7 * i];
-        std::copy(W + 6 * s, W + 6 * s + 6, w.gradients.data() + 6 * view);
+        for (int i = 0; i < 6; ++i) w.gradients[6 * view + i] = W[i][s];
         if (!(trace > 0)) {  // no corner at all: the view neither steps nor counts
             std::fill(A, A + 36, 0.0);
             for (int i = 0; i < 6; ++i) A[7 * i] = 1;
@@ -162,16 +161,17 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             for (int k = 0; k < 6; ++k) A[6 * i + k] *= scale[i] * scale[k];
         }
         if (!cholesky6(A)) return false;
-        double inverse_pivot[6];
-        for (int i = 0; i < 6; ++i) inverse_pivot[i] = 1 / A[7 * i];
-        for (int column = 0; column <= s; ++column) {  // Y = L⁻¹ S [W, gradient]
-            const double* from = W + 6 * column;
-            double* y = Y + column * w.stride + 6 * view;
-            for (int i = 0; i < 6; ++i) {
-                double sum = from[i] * scale[i];
-                for (int k = 0; k < i; ++k) sum -= A[6 * i + k] * y[k];
-                y[i] = sum * inverse_pivot[i];
+        for (int i = 0; i < 6; ++i) {  // Y = L⁻¹ S [W, gradient], in place, all columns at once
+            const double inverse_pivot = 1 / A[7 * i];
+            double* row = W[i];
+            for (int column = 0; column <= s; ++column) row[column] *= scale[i];
+            for (int k = 0; k < i; ++k) {
+                for (int column = 0; column <= s; ++column) row[column] -= A[6 * i + k] * W[k][column];
             }
+            for (int column = 0; column <= s; ++column) row[column] *= inverse_pivot;
+        }
+        for (int column = 0; column <= s; ++column) {
+            for (int i = 0; i < 6; ++i) Y[column * w.stride + 6 * view + i] = W[i][column];
         }
     }
     for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
