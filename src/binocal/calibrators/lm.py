@@ -6,8 +6,10 @@ The classical road, without the agent.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy import ndarray
 
 from binocal.calibrators import trust
 from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions
@@ -23,6 +25,9 @@ from binocal.solvers.covariance import inliers
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
@@ -123,22 +128,22 @@ def _calibrate_clean(detections: Detections, options: CalibrationOptions) -> Ste
 
 def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float) -> bool:
     """Whether every picture fits alike, and all of them as well as homographies of their own."""
-    counts, sums, plain_px2 = [], [], 0.0
-    lengths2 = plain_lengths2(problem, minimum)
-    for camera, e, used, px2 in zip(
-        problem.cameras, minimum.equations.cameras, inliers(problem, minimum), lengths2, strict=True
-    ):
-        n_seen, n_used = camera.is_seen.sum(axis=1), used.sum(axis=1)
-        if np.any(n_used < (1 - CLEAN_PICTURE_OUTLIER_SHARE) * n_seen):
-            return False
-        counts.append(n_seen)
-        sums.append(np.sum(e.r2_px2, axis=1, where=used))
-        plain_px2 += float(np.sum(px2, where=used)) if problem.is_whitened else float(sums[-1].sum())
-    n_corners, whitened_px2 = np.concatenate(counts), np.concatenate(sums)
-    mean2 = whitened_px2 / n_corners
-    even = mean2.max() < CLEAN_RATIO**2 * max(float(np.median(mean2)), robust.SCALE_FLOOR_PX**2)
-    rms_px = np.sqrt(plain_px2 / (2 * n_corners.sum()))
+    used = inliers(problem, minimum)
+    n_seen = np.concatenate([camera.is_seen.sum(axis=1) for camera in problem.cameras])
+    n_used = np.concatenate([is_used.sum(axis=1) for is_used in used])
+    if (n_used < (1 - CLEAN_PICTURE_OUTLIER_SHARE) * n_seen).any():
+        return False
+    whitened2 = _sums(tuple(e.r2_px2 for e in minimum.equations.cameras), used)
+    plain2 = _sums(plain_lengths2(problem, minimum), used) if problem.is_whitened else whitened2
+    mean2 = np.sort(whitened2 / n_seen)
+    even = mean2[-1] < CLEAN_RATIO**2 * max(mean2[len(mean2) // 2], robust.SCALE_FLOOR_PX**2)
+    rms_px = np.sqrt(plain2.sum() / (2 * n_seen.sum()))
     return bool(even and rms_px < CLEAN_HOMOGRAPHY_RATIO * homography_px + robust.SCALE_FLOOR_PX)
+
+
+def _sums(lengths2: tuple[ndarray, ...], used: tuple[ndarray, ...]) -> Float[ndarray, "pictures"]:
+    """Sum over the used corners of every picture."""
+    return np.concatenate([np.where(u, px2, 0.0).sum(axis=1) for px2, u in zip(lengths2, used, strict=True)])
 
 
 def _is_beyond_doubt(calibration: StereoCalibration) -> bool:

@@ -86,14 +86,15 @@ def summarize(
     Raises:
         DegenerateGeometryError: The information matrix is singular, or there are fewer measurements than unknowns.
     """
-    noise_px = residual_noise_px(problem, minimum)
-    covariance = shared_covariance(problem, minimum.estimate, minimum.equations, noise_px)
     used = inliers(problem, minimum)
+    noise_px = residual_noise_px(problem, minimum, used)
+    covariance = shared_covariance(problem, minimum.estimate, minimum.equations, noise_px)
     lengths2 = plain_lengths2(problem, minimum)
-    r2 = [np.where(is_used, px2, 0.0) for is_used, px2 in zip(used, lengths2, strict=True)]
-    views = _view_results(detections, problem, lengths2, used, r2, notes)
-    left_px, right_px = (_rms(px2.sum(), is_used.sum()) for px2, is_used in zip(r2, used, strict=True))
-    all_px = _rms(sum(px2.sum() for px2 in r2), sum(is_used.sum() for is_used in used))
+    sums = np.array([np.where(u, px2, 0.0).sum(axis=1) for u, px2 in zip(used, lengths2, strict=True)])
+    counts = np.array([is_used.sum(axis=1) for is_used in used])
+    views = _view_results(detections, problem, lengths2, used, sums, counts, notes)
+    left_px, right_px = _rms(sums.sum(axis=1), counts.sum(axis=1))
+    all_px = _rms(sums.sum(), counts.sum())
     return StereoCalibration(
         rig=rig_of(minimum.estimate, detections, options.model),
         covariance=Covariance(shared_names(problem), covariance),
@@ -126,20 +127,19 @@ def _view_results(
     problem: BundleProblem,
     lengths2: tuple[Float[ndarray, "views n"], ...],
     used: tuple[Bool[ndarray, "views n"], ...],
-    inlier_r2: list[Float[ndarray, "views n"]],
+    sums_px2: Float[ndarray, "2 views"],
+    counts: Int[ndarray, "2 views"],
     notes: Mapping[str, str],
 ) -> tuple[ViewResult, ...]:
     outliers: dict[int, list[OutlierCorner]] = {}
     for side, camera, px2, is_used in zip(("left", "right"), problem.cameras, lengths2, used, strict=True):
-        for view, corner in np.argwhere(camera.is_seen & ~is_used).tolist():
+        for view, corner in np.argwhere(camera.is_seen != is_used).tolist():
             distance_px = float(np.sqrt(px2[view, corner]))
             outliers.setdefault(view, []).append(OutlierCorner(side, corner, distance_px))
-    sums, counts = [r2.sum(axis=1) for r2 in inlier_r2], [is_used.sum(axis=1) for is_used in used]
     rows = zip(
         detections.names,
-        _rms(sums[0] + sums[1], counts[0] + counts[1]).tolist(),
-        _rms(sums[0], counts[0]).tolist(),
-        _rms(sums[1], counts[1]).tolist(),
+        _rms(sums_px2.sum(axis=0), counts.sum(axis=0)).tolist(),
+        *_rms(sums_px2, counts).tolist(),
         sum(c.is_seen.sum(axis=1) for c in problem.cameras).tolist(),
         strict=True,
     )

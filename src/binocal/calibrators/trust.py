@@ -158,8 +158,10 @@ def size_warnings(calibration: StereoCalibration) -> tuple[str, ...]:
     centres = np.array([rig.left.parameters[2:4], rig.right.parameters[2:4]])
     short = 0.5 - (centres + 0.5) / sizes
     implied = 2 * centres + 1
-    far = np.array([np.nanmax(px, axis=(0, 1)) for px in (detections.left_px, detections.right_px)])
     is_short = (short.mean(axis=0) > SHORT_OF_MIDDLE_SHARE) & (short.min(axis=0) > LEAST_SHORT_OF_MIDDLE_SHARE)
+    if not is_short.any():
+        return ()
+    far = np.array([np.nanmax(px, axis=(0, 1)) for px in (detections.left_px, detections.right_px)])
     is_suspect = is_short & np.all(far < 1.01 * implied, axis=0)
     if not is_suspect.any():
         return ()
@@ -207,12 +209,16 @@ def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
 
 
 def corner_spacing_px(detections: Detections) -> float:
-    """Median distance in the pictures of corners that are neighbours on the board."""
+    """Median distance in the pictures of corners that are neighbours on the board; NaN where none are seen."""
     points = detections.object_points_m
-    distance2 = np.square(points[:, None] - points).sum(axis=-1)
+    half = 0.5 * np.square(points).sum(axis=1)
+    distance2 = half - points @ points.T  # half of it, short of a constant for each row
     np.fill_diagonal(distance2, np.inf)
     nearest = np.argmin(distance2, axis=1)
-    some = np.linspace(0, detections.n_views - 1, min(detections.n_views, MAX_SPACING_VIEWS)).round().astype(int)
-    steps = np.concatenate([px[some][:, nearest] - px[some] for px in (detections.left_px, detections.right_px)])
-    gaps = np.hypot(steps[..., 0], steps[..., 1])
-    return float(np.median(gaps[np.isfinite(gaps)]))
+    n_some = min(detections.n_views, MAX_SPACING_VIEWS)
+    some = np.arange(n_some) * (detections.n_views - 1) // max(n_some - 1, 1)
+    px = np.concatenate([detections.left_px[some], detections.right_px[some]])
+    steps = px[:, nearest] - px
+    gaps2 = np.vecdot(steps, steps).ravel()
+    gaps2 = gaps2[np.isfinite(gaps2)]
+    return float(np.sqrt(np.partition(gaps2, len(gaps2) // 2)[len(gaps2) // 2])) if len(gaps2) else float("nan")

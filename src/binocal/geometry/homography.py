@@ -9,6 +9,7 @@ last pass's depths (Sampson weights).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -45,8 +46,9 @@ class PlaneFrame:
         """Frame of planar points; a third coordinate is ignored."""
         points = np.asarray(object_points, dtype=float)[:, :2]
         centre = points.mean(axis=0)
-        scale = float(np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=1)))) or 1.0
-        xy = (points - centre) / scale
+        xy = points - centre
+        scale = math.sqrt(np.vdot(xy, xy) / len(xy)) or 1.0
+        xy /= scale
         return PlaneFrame(xy, monomials(xy[:, 0], xy[:, 1]), centre, scale)
 
     @property
@@ -57,7 +59,10 @@ class PlaneFrame:
 
 def monomials(x: Float[ndarray, "*n"], y: Float[ndarray, "*n"]) -> Float[ndarray, "*n 6"]:
     """x², xy, y², x, y, 1."""
-    return np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1)
+    out = np.empty((*x.shape, 6))
+    for i, column in enumerate((x * x, x * y, y * y, x, y, 1.0)):
+        out[..., i] = column
+    return out
 
 
 def plane_moments(

@@ -56,7 +56,7 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
     if is_seen.sum(axis=-1).min(initial=len(is_seen[0])) < MIN_CORNERS:
         return None
     is_full = bool(is_seen.all())
-    size = np.repeat([detections.left_size_wh, detections.right_size_wh], n_views, axis=0).astype(float)
+    size = np.array([detections.left_size_wh, detections.right_size_wh], dtype=float).repeat(n_views, axis=0)
     centre = (size - 1) / 2
     unit_px = np.hypot(size[:, 0], size[:, 1]) / 2
     u = (pixels[..., 0] - centre[:, :1]) / unit_px[:, None]
@@ -64,7 +64,7 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
     if not is_full:
         u[~is_seen], v[~is_seen] = 0.0, 0.0
     limit = (centre + 0.5 + _OUTSIDE_PX) / unit_px[:, None]
-    if np.any(np.abs(u).max(axis=-1) > limit[:, 0]) or np.any(np.abs(v).max(axis=-1) > limit[:, 1]):
+    if (np.abs(u) > limit[:, :1]).any() or (np.abs(v) > limit[:, 1:]).any():
         return None
     frame = PlaneFrame.of(detections.object_points_m)
     weights = is_seen.astype(float)
@@ -82,7 +82,7 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
     with np.errstate(all="ignore"):
         R, t_centre, _ = decompose(rays, frame.scale)
         t = t_centre - R[..., :2] @ frame.centre
-    if not (np.isfinite(R).all() and np.isfinite(t).all()):  # a picture whose corners lie on a line
+    if not (np.abs(R).max() < 2 and np.isfinite(t).all()):  # no rotation: a picture whose corners lie on a line
         return None
     R_left, t_left, R_right, t_right = R[:n_views], t[:n_views], R[n_views:], t[n_views:]
     R_right_left = so3.project_to_rotation(np.mean(R_right @ R_left.swapaxes(-1, -2), axis=0))

@@ -169,15 +169,18 @@ def select_poses(poses: BoardPoses, views: Int[ndarray, "k"]) -> BoardPoses:
 
 def decompose(rows: Float[ndarray, "*batch 3 3"], scale: float) -> tuple[ndarray, ndarray, ndarray]:
     """Rotation, position of the frame's centre, and length of the columns, by orthogonalising [h1 h2] symmetrically."""
-    A = rows[..., :2]
-    G = A.swapaxes(-1, -2) @ A
-    root_det = np.sqrt(np.maximum(G[..., 0, 0] * G[..., 1, 1] - G[..., 0, 1] ** 2, 1e-300))
-    trace = np.sqrt(G[..., 0, 0] + G[..., 1, 1] + 2 * root_det)
-    root = (G + root_det[..., None, None] * np.eye(2)) / trace[..., None, None]
-    det = root[..., 0, 0] * root[..., 1, 1] - root[..., 0, 1] ** 2
-    inverse = np.stack([root[..., 1, 1], -root[..., 0, 1], -root[..., 0, 1], root[..., 0, 0]], axis=-1)
-    Q = A @ (inverse.reshape(G.shape) / det[..., None, None])
-    R = np.concatenate([Q, np.cross(Q[..., 0], Q[..., 1])[..., None]], axis=-1)
+    h1, h2 = rows[..., 0], rows[..., 1]
+    a, b, c = np.vecdot(h1, h1), np.vecdot(h1, h2), np.vecdot(h2, h2)
+    root_det = np.sqrt(np.maximum(a * c - b * b, 1e-300))
+    trace = np.sqrt(a + c + 2 * root_det)
+    # the inverse of the root of [[a, b], [b, c]] is [[c + root_det, -b], [-b, a + root_det]] / (root_det trace)
+    p, q, r = ((x / (root_det * trace))[..., None] for x in (c + root_det, b, a + root_det))
+    R = np.empty(rows.shape)
+    x, y = R[..., 0], R[..., 1]
+    x[...], y[...] = p * h1 - q * h2, r * h2 - q * h1
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        R[..., i, 2] = x[..., j] * y[..., k] - x[..., k] * y[..., j]
     size = trace / 2
     return R, rows[..., 2] * (scale / size)[..., None], size
 

@@ -88,7 +88,7 @@ def accumulate(
     n_rigs = math.prod(batch)
     gram = np.empty((*batch, n_views, q, q))
     r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
-    scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
+    scale = _per_rig(scale_px, tuple(batch))
     arrays = _flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
     _kernel.accumulate(model, *arrays, _given(whitening), free, scale, kernel, gram, r2, cost, _n_threads(r2.size))
     return ViewEquations(gram, r2, cost)
@@ -121,7 +121,7 @@ def robust_costs(
     batch = r2_px2.shape[:-1]
     n_rigs = math.prod(batch)
     cost = np.empty(batch)
-    scale = np.array(np.broadcast_to(np.asarray(scale_px, dtype=float), batch)).reshape(n_rigs)
+    scale = _per_rig(scale_px, batch)
     _kernel.costs(np.ascontiguousarray(r2_px2, dtype=float).reshape(n_rigs, -1), scale, kernel, cost)
     return cost
 
@@ -218,6 +218,14 @@ def reduced_information(
 
 
 _NOTHING = np.empty(0)
+
+
+def _per_rig(scale_px: ndarray, batch: tuple[int, ...]) -> Float[ndarray, "rigs"]:
+    """One scale for each rig, in a row."""
+    scale = np.asarray(scale_px, dtype=float)
+    if scale.shape != batch:
+        scale = np.broadcast_to(scale, batch)
+    return np.ascontiguousarray(scale).reshape(-1)
 
 
 def _given(whitening: ndarray | None) -> ndarray:

@@ -61,7 +61,9 @@ class CameraObservations:
         """Observations of (views, n, 2) corners with NaN for unseen; ``intrinsics=False`` holds all parameters."""
         corners = np.asarray(corners_px, dtype=float)
         is_seen = np.isfinite(corners[..., 0])
-        pixels = np.ascontiguousarray(np.where(is_seen[..., None], corners, 0.0).swapaxes(-1, -2))
+        pixels = np.array(corners.swapaxes(-1, -2), order="C")
+        if not is_seen.all():
+            pixels[~np.broadcast_to(is_seen[..., None, :], pixels.shape)] = 0.0
         is_free = np.full(model.n_parameters, intrinsics)
         is_free[4] = intrinsics and skew
         return CameraObservations(model, pixels, is_seen, is_free, whitening)
@@ -195,10 +197,14 @@ def linearize(
     cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
     energy = np.zeros(cost.shape)
     for camera, parameters in zip(problem.cameras, estimate.parameters, strict=True):
-        cost = np.where(np.all(parameters[..., :2] > 0, axis=-1), cost, np.inf)
+        has_focal = parameters[..., :2] > 0
+        if not has_focal.all():
+            cost = np.where(has_focal.all(axis=-1), cost, np.inf)
         if camera.model.has_prior:
             energy = energy + 0.5 * (parameters**2 @ prior_precision(camera))
-    scale_px = np.broadcast_to(np.asarray(scale_px, dtype=float), cost.shape)
+    scale_px = np.asarray(scale_px, dtype=float)
+    if scale_px.shape != cost.shape:
+        scale_px = np.broadcast_to(scale_px, cost.shape)
     return BundleEquations(equations, cost + scale_px**2 * energy, energy, scale_px)
 
 
@@ -248,17 +254,16 @@ def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) 
     """The estimate moved by a step."""
     parameters, column = [], 0
     for camera, values in zip(problem.cameras, estimate.parameters, strict=True):
+        free = np.flatnonzero(camera.is_free)
         moved = values.copy()
-        count = int(camera.is_free.sum())
-        moved[..., camera.is_free] += step.shared[..., column : column + count]
-        column += count
+        moved[..., free] += step.shared[..., column : column + len(free)]
+        column += len(free)
         parameters.append(moved)
-    R, t = step_poses(estimate.R_left_board, estimate.t_left_board, step.views)
-    out = replace(estimate, parameters=tuple(parameters), R_left_board=R, t_left_board=t)
+    views = step_poses(estimate.R_left_board, estimate.t_left_board, step.views)
+    rig = (estimate.R_right_left, estimate.t_right_left)
     if problem.is_stereo and problem.is_rig_free:
-        R, t = step_poses(estimate.R_right_left, estimate.t_right_left, step.shared[..., column:])
-        out = replace(out, R_right_left=R, t_right_left=t)
-    return out
+        rig = step_poses(*rig, step.shared[..., column:])
+    return BundleEstimate(tuple(parameters), *views, *rig)
 
 
 def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleEstimate) -> BundleEstimate:

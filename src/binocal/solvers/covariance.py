@@ -68,12 +68,17 @@ def shared_covariance(
     return 0.5 * (inverse + inverse.T)
 
 
-def residual_noise_px(problem: BundleProblem, minimum: Minimum) -> float:
-    """Noise of one corner coordinate from the weighted residuals of one rig, corrected for the fitted parameters."""
+def residual_noise_px(
+    problem: BundleProblem, minimum: Minimum, used: tuple[Bool[ndarray, "views n"], ...] | None = None
+) -> float:
+    """Noise of one corner coordinate from the weighted residuals of one rig, corrected for the fitted parameters.
+
+    ``used`` are the :func:`inliers`, where they are known already.
+    """
     weighted = sum(float(e.gram[..., -1, -1].sum()) for e in minimum.equations.cameras)
-    used = inliers(problem, minimum)
+    used = inliers(problem, minimum) if used is None else used
     n_used = sum(int(is_inlier.sum()) for is_inlier in used)
-    n_views = int(np.any([is_inlier.any(axis=-1) for is_inlier in used], axis=0).sum())
+    n_views = int(np.logical_or.reduce([is_inlier.any(axis=-1) for is_inlier in used]).sum())
     freedom = 2 * n_used - 6 * n_views - problem.n_shared
     if freedom <= 0:
         raise DegenerateGeometryError("fewer measurements than unknowns; add views or corners.")
