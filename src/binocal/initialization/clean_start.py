@@ -27,6 +27,9 @@ MIN_CORNERS = 12  # of every picture; fewer leave a homography too free to prove
 _OUTSIDE_PX = 2.0
 _FOCAL_RANGE = (0.3, 20.0)  # half diagonals: 150 deg to 6 deg of view
 _MAX_LENS_RESIDUAL = 0.01  # of a half diagonal; a lens that bends straight lines by more needs the long way's profile
+_MAX_TURN = (
+    0.7  # of a view's rotation between the cameras from the mean's: rough poses stay below, reversed corners reach 2
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +88,10 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
     if not (np.abs(R).max() < 2 and np.isfinite(t).all()):  # no rotation: a picture whose corners lie on a line
         return None
     R_left, t_left, R_right, t_right = R[:n_views], t[:n_views], R[n_views:], t[n_views:]
-    R_right_left = so3.project_to_rotation(np.mean(R_right @ R_left.swapaxes(-1, -2), axis=0))
+    relative = R_right @ R_left.swapaxes(-1, -2)
+    R_right_left = so3.project_to_rotation(relative.mean(axis=0))
+    if np.abs(relative - R_right_left).max() > _MAX_TURN:
+        return None
     t_right_left = np.mean(t_right - t_left @ R_right_left.T, axis=0)
     parameters = []
     for side in range(2):

@@ -77,10 +77,11 @@ def estimate_relative_pose(
     )  # (proposers, symmetries)
     voters = np.linspace(0, len(both) - 1, min(_MAX_VOTERS, len(both))).round().astype(int)
 
+    forms = _camera_forms(right, both)
+
     def misses(T_R: ndarray, T_t: ndarray, views: ndarray) -> ndarray:
-        return np.stack(
-            [_transfer_px(T_R, T_t, L[views], right, both[views], S[k : k + 1]) for k in range(len(S.R))], axis=-1
-        )
+        seen = right.turn[both[views], 2], right.n_corners[both[views]], forms[views]
+        return np.stack([_transfer_px(T_R, T_t, L[views], right.frame, *seen, S[k]) for k in range(len(S.R))], axis=-1)
 
     miss = misses(proposals.R, proposals.t, voters)
     unturned = np.argmin(miss, axis=-1) == 0
@@ -126,27 +127,47 @@ def transfer_px(T: SE3, left: BoardPoses, right: BoardPoses, motion: SE3) -> Flo
     """RMS pixels of right views under proposals: predicted T_right_board = T T_left_board S⁻¹."""
     both = np.flatnonzero(left.is_usable & right.is_usable)
     out = np.full(len(left.is_usable), np.nan)
-    moved = SE3(motion.R.reshape(1, 3, 3), motion.t.reshape(1, 3)).inverse()
+    moved = SE3(motion.R.reshape(3, 3), motion.t.reshape(3)).inverse()
     L = SE3(left.R[both], left.t[both])
-    out[both] = _transfer_px(T.R[None], T.t[None], L, right, both, moved)[0]
+    seen = right.turn[both, 2], right.n_corners[both], _camera_forms(right, both)
+    out[both] = _transfer_px(T.R, T.t, L, right.frame, *seen, moved)
     return out
 
 
+def _camera_forms(poses: BoardPoses, views: ndarray) -> Float[ndarray, "views 9 9"]:
+    """Quadratic forms of poses in the camera's own frame instead of the turned one: [s r1, s r2, t] turns row by row."""
+    turn = np.zeros((len(views), 3, 3, 3, 3))
+    for column in range(3):
+        turn[:, :, column, :, column] = poses.turn[views]
+    turn = turn.reshape(-1, 9, 9)
+    return turn.swapaxes(-1, -2) @ poses.fit[views] @ turn
+
+
 def _transfer_px(
-    T_R: Float[ndarray, "*k 3 3"], T_t: Float[ndarray, "*k 3"], L: SE3, right: BoardPoses, both: ndarray, symmetry: SE3
+    T_R: Float[ndarray, "*k 3 3"],
+    T_t: Float[ndarray, "*k 3"],
+    L: SE3,
+    frame: PlaneFrame,
+    depth_axis: Float[ndarray, "views 3"],
+    n_corners: ndarray,
+    forms: Float[ndarray, "views 9 9"],
+    symmetry: SE3,
 ) -> Float[ndarray, "*k views"]:
-    """RMS pixels of right views under proposals: predicted T_right_board = T T_left_board S⁻¹."""
-    back = symmetry[0].inverse()
-    M = L @ SE3(np.broadcast_to(back.R, L.R.shape), np.broadcast_to(back.t, L.t.shape))
-    turn = right.turn[both]
-    R = turn @ (T_R[..., None, :, :] @ M.R)
-    t_centre = M.t + M.R[..., :2] @ right.frame.centre
-    t = (T_R[..., None, :, :] @ t_centre[..., None])[..., 0] + T_t[..., None, :]
-    t = (turn @ t[..., None])[..., 0]
-    h = pose_vector(R, t, right.frame.scale)
-    squared = np.sum(h * (right.fit[both] @ h[..., None])[..., 0], axis=-1)
-    px = np.sqrt(np.maximum(squared, 0.0) / right.n_corners[both])
-    return np.where(t[..., 2] > 0, px, 1e6)
+    """RMS pixels of right views under proposals: predicted T_right_board = T T_left_board S⁻¹.
+
+    All proposals of a view go through one matrix product: the pose vector is linear in the proposal.
+    """
+    back = symmetry.inverse()
+    R = L.R @ back.R
+    t_centre = (L.R @ back.t) + L.t + R[..., :2] @ frame.centre
+    board = np.concatenate([R[..., :2] * frame.scale, t_centre[..., None]], axis=-1)
+    h = np.ascontiguousarray(T_R).reshape(-1, 3) @ board
+    h[..., 2] += T_t.reshape(-1)
+    h = h.reshape(len(board), -1, 9)
+    squared = np.vecdot(h, h @ forms)
+    depth = (h[..., 2::3] @ depth_axis[..., None])[..., 0]
+    px = np.where(depth > 0, np.sqrt(np.maximum(squared, 0.0) / n_corners[:, None]), 1e6)
+    return px.T.reshape(*T_t.shape[:-1], len(board))
 
 
 def _with_symmetry(
