@@ -31,6 +31,15 @@ def test_scale_reports_time_memory_and_what_the_choice_costs():
     assert table["text"].count("\n") == 3
 
 
+def test_rigs_from_pictures_are_compared_with_both_of_opencvs_roads():
+    table = run("rig", pairs=8, sets=2, seed=1)
+    rows = {row["way"]: row for row in table["rows"]}
+    assert set(rows) == {"binocal", "binocal, brown5", "OpenCV, joint", "OpenCV, tutorial"}
+    assert rows["binocal"]["binocal_over_rotation_error_deg"] == 1
+    assert 0 < rows["binocal"]["rotation_error_deg"]["rms"] < rows["OpenCV, joint"]["rotation_error_deg"]["rms"]
+    assert "2 sets of 8 rendered pairs" in table["text"] and all(name in table["text"] for name in rows)
+
+
 def test_unknown_benchmarks_are_named():
     assert {"pipeline", "scale", "solver"} <= set(BENCHMARKS)
     with pytest.raises(ValueError, match="known: corners, pipeline"):

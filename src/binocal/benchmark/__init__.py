@@ -30,6 +30,12 @@ def _pipeline(**options: Any) -> dict[str, Any]:
     return run_pipeline_benchmark(**options)
 
 
+def _rig(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.rig import run_rig_benchmark
+
+    return run_rig_benchmark(**options)
+
+
 def _scale(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.scale import run_scale_benchmark
 
@@ -40,6 +46,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "corners": _corners,
     "pipeline": _pipeline,
     "precision": _precision,
+    "rig": _rig,
     "scale": _scale,
     "solver": _solver,
 }

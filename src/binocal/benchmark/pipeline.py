@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_corners
 from binocal.benchmark.scenes import render_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
@@ -127,39 +128,17 @@ def _run_opencv(listed: Sequence[PicturePair]) -> StereoRigLike:
     import cv2
 
     board = parse_board(BOARD)
-    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
-
-    def find(path: Path) -> np.ndarray | None:
-        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        is_found, corners = cv2.findChessboardCorners(grey, (board.columns, board.rows), flags=flags)
-        if not is_found:
-            return None
-        return cv2.cornerSubPix(grey, np.ascontiguousarray(corners).reshape(-1, 1, 2), (5, 5), (-1, -1), stop)
-
     paths = [path for pair in listed for path in (pair.left_path, pair.right_path)]
     with ThreadPoolExecutor(N_THREADS) as pool:
-        corners = list(pool.map(find, paths))
-    both = [(a, b) for a, b in zip(corners[0::2], corners[1::2], strict=True) if a is not None and b is not None]
-    if len(both) < 3:
+        found = pool.map(lambda path: find_corners(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), board), paths)
+        left, right = pair_corners(list(found))
+    if len(left) < 3:
         return None
     cv2.setNumThreads(N_THREADS)
     try:
-        left, right = [a for a, _ in both], [_same_way(a, b) for a, b in both]
-        points = [board.object_points_m.astype(np.float32)] * len(both)
-        _, K_l, d_l, _, _ = cv2.calibrateCamera(points, left, SIZE_WH, None, None)
-        _, K_r, d_r, _, _ = cv2.calibrateCamera(points, right, SIZE_WH, None, None)
-        flags = cv2.CALIB_USE_INTRINSIC_GUESS
-        result = cv2.stereoCalibrate(points, left, right, K_l, d_l, K_r, d_r, SIZE_WH, flags=flags)
+        return calibrate_views(board.object_points_m, left, right, SIZE_WH)
     finally:
         cv2.setNumThreads(1)
-    return result[5], result[6].ravel()
-
-
-def _same_way(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The right corners in the left ones' order, where the finder numbered the two pictures from opposite ends."""
-    way_left, way_right = left[-1, 0] - left[0, 0], right[-1, 0] - right[0, 0]
-    return right if float(way_left @ way_right) > 0 else right[::-1].copy()
 
 
 def _errors(R: np.ndarray, t: np.ndarray, rig: StereoRig) -> tuple[float, float]:

@@ -7,19 +7,18 @@ corners is timed in the same rows as far as its cubic growth allows.
 
 from __future__ import annotations
 
-import multiprocessing
 import platform
-import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from binocal.benchmark.memory import run_alone
+from binocal.benchmark.opencv_peer import run_opencv
 from binocal.benchmark.scenes import render_pairs
-from binocal.benchmark.solver import run_opencv, scene
+from binocal.benchmark.solver import scene
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.calibrators.view_selection import select_views
@@ -50,11 +49,11 @@ def run_scale_benchmark(
                 PicturePair(f"{i:05d}", pairs[i % len(pairs)].left_path, pairs[i % len(pairs)].right_path)
                 for i in range(n)
             ]
-            rows.append({"stage": "pictures", "pairs": n} | _alone(_find_corners, repeated))
+            rows.append({"stage": "pictures", "pairs": n} | run_alone(_find_corners, repeated))
     for n in corner_pairs:
-        rows.append({"stage": "corners", "pairs": n} | _alone(_choose_and_solve, n, seed))
+        rows.append({"stage": "corners", "pairs": n} | run_alone(_choose_and_solve, n, seed))
         if n <= PEER_LIMIT_PAIRS:
-            rows[-1]["opencv_s"] = _alone(_solve_with_opencv, n, seed)["s"]
+            rows[-1]["opencv_s"] = run_alone(_solve_with_opencv, n, seed)["s"]
     return {
         "benchmark": "scale",
         "board": BOARD,
@@ -64,28 +63,6 @@ def run_scale_benchmark(
         "rows": rows,
         "text": _format(rows),
     }
-
-
-def _alone(work: Any, *arguments: Any) -> dict[str, Any]:
-    """What ``work`` returns in a fresh process, with that process's peak memory."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(_measured, work, *arguments).result()
-
-
-def _measured(work: Any, *arguments: Any) -> dict[str, Any]:
-    return work(*arguments) | {"peak_mb": _peak_mb()}
-
-
-def _peak_mb() -> float:
-    """Peak resident memory of this process alone; Linux's ru_maxrss holds the parent's too."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
-        return int(line.split()[1]) * 1024 / 1e6
-    import resource
-
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
 def _find_corners(pairs: list[PicturePair]) -> dict[str, Any]:

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from binocal.benchmark.memory import added_mb
 from binocal.benchmark.mrcal_peer import find_mrcal, run_mrcal
+from binocal.benchmark.opencv_peer import run_opencv
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import camera_model
@@ -41,21 +45,6 @@ def scene(n_views: int, seed: int) -> tuple[StereoScene, Detections]:
     rig, board = table2_rig(), parse_board(BOARD)
     views = StereoScene(rig, board, sample_board_poses(rig, board, n_views, rng))
     return views, simulate_detections(views, rng, noise_px=NOISE_PX)
-
-
-def run_opencv(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]:
-    """Seconds, R and t of OpenCV calibrations of each camera and the joint solve."""
-    import cv2
-
-    points = [np.ascontiguousarray(detections.object_points_m, dtype=np.float32)] * detections.n_views
-    left = [np.ascontiguousarray(p, dtype=np.float32)[:, None] for p in detections.left_px]
-    right = [np.ascontiguousarray(p, dtype=np.float32)[:, None] for p in detections.right_px]
-    size = detections.left_size_wh
-    start = time.perf_counter()
-    _, K_l, d_l, _, _ = cv2.calibrateCamera(points, left, size, None, None)
-    _, K_r, d_r, _, _ = cv2.calibrateCamera(points, right, size, None, None)
-    result = cv2.stereoCalibrate(points, left, right, K_l, d_l, K_r, d_r, size, flags=cv2.CALIB_USE_INTRINSIC_GUESS)
-    return time.perf_counter() - start, result[5], result[6].ravel()
 
 
 def _run_binocal(detections: Detections) -> tuple[float, np.ndarray, np.ndarray]:
@@ -97,7 +86,7 @@ def run_solver_benchmark(
                     times[name].append(elapsed_s)
                     rotation_deg = float(np.degrees(so3.angle_rad(R @ truth.R.T)))
                     errors[name].append((rotation_deg, 1e3 * float(np.linalg.norm(t - truth.t))))
-        rows.append(_row(n_views, times, errors))
+        rows.append(_row(n_views, times, errors) | _added_memory(n_views, seed))
     batches = [_time_batch(seed, rounds, intrinsics=free) for free in (False, True)]
     machine = (
         f"{platform.machine()}, {n_cpus()} processors, Python {platform.python_version()}, NumPy {np.__version__}, "
@@ -114,6 +103,19 @@ def run_solver_benchmark(
         "batches": batches,
         "text": _format(rows, batches, machine),
     }
+
+
+def _added_memory(n_views: int, seed: int) -> dict[str, float]:
+    """Megabytes that each road adds to what its process holds, imports and corners included, each in a process of its own."""
+    names = ("binocal", "opencv") if n_views <= PEER_LIMIT_PAIRS else ("binocal",)
+    return {f"{name}_added_mb": added_mb(_prepare, name, n_views, seed) for name in names}
+
+
+def _prepare(name: str, n_views: int, seed: int) -> Callable[[], Any]:
+    import cv2  # noqa: F401 - both roads start with it loaded
+
+    _run_binocal(scene(8, seed)[1])
+    return partial({"binocal": _run_binocal, "opencv": run_opencv}[name], scene(n_views, seed)[1])
 
 
 def _row(n_views: int, times: dict[str, list[float]], errors: dict[str, list[tuple[float, float]]]) -> dict[str, Any]:
@@ -195,7 +197,7 @@ def _format(rows: list[dict[str, Any]], batches: list[dict[str, Any]], machine: 
     head = [f"{'pairs':>6}", f"{'binocal ms (min..max)':>24}"]
     for name in peers:
         head += [f"{name + ' ms':>22}", f"{name + ' / binocal':>22}"]
-    head += [f"{'rotation error deg':>30}", f"{'translation error mm':>30}"]
+    head += [f"{'rotation error deg':>30}", f"{'translation error mm':>30}", f"{'added MB':>14}"]
     lines = [f"corners to rig, {BOARD}, noise {NOISE_PX} px ({machine})", " ".join(head)]
     for row in rows:
         cells = [f"{row['pairs']:>6}", f"{span(row['binocal_s'], 1e3, 1):>24}"]
@@ -205,6 +207,8 @@ def _format(rows: list[dict[str, Any]], batches: list[dict[str, Any]], machine: 
         for key in ("rotation_error_deg", "translation_error_mm"):
             values = (row.get(f"{name}_{key}") for name in ("binocal", *peers))
             cells.append(f"{' / '.join(f'{value:.5f}' for value in values if value is not None):>30}")
+        memory = (row.get(f"{name}_added_mb") for name in ("binocal", "opencv"))
+        cells.append(f"{' / '.join(f'{mb:.1f}' for mb in memory if mb is not None):>14}")
         lines.append(" ".join(cells))
     for batch in batches:
         lines.append(
