@@ -39,5 +39,6 @@ $(VENV)/.stamp: pyproject.toml constraints.txt $(KERNEL)
 	    exit 1; \
 	  fi; \
 	fi
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
 	@touch $@
