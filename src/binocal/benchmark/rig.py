@@ -30,7 +30,7 @@ BOARD = "chessboard:11x8:20mm"
 Pose = tuple[ndarray, ndarray]
 
 
-def run_rig_benchmark(*, pairs: int = 20, sets: int = 10, seed: int = 0) -> dict[str, Any]:
+def run_rig_benchmark(*, pairs: int = 20, sets: int = 24, seed: int = 0) -> dict[str, Any]:
     """``sets`` recordings of ``pairs`` pairs; RMS and median errors of each method, and binocal's over the others'."""
     rig = table2_rig()
     truth, size_wh = rig.T_right_left, rig.left.size_wh

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
+from binocal import native
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
@@ -171,15 +173,13 @@ def fit_plane(
     w: Float[ndarray, "*batch n"],
     n_passes: int = 2,
 ) -> tuple[PlaneFit, Float[ndarray, "*batch n"], Float[ndarray, "*batch n"]]:
-    """Weighted least-squares fit in image coordinates of order one, and residuals u, v; geometric from pass two on."""
-    weights = w
-    for k in range(n_passes):
-        fit = solve_plane(plane_moments(frame.basis, u, v, weights))
-        u_fit, v_fit, depth = map_plane(fit.rows, frame.xy)
-        if k + 1 < n_passes:
-            with np.errstate(all="ignore"):
-                weights = w / np.maximum(depth * depth, 1e-2)  # a depth under 0.1 of the centre's is a wild fit
-    return fit, u - u_fit, v - v_fit
+    """Weighted least-squares fit in image coordinates of order one, and residuals u, v; geometric from pass two on.
+
+    What :func:`solve_plane` makes of :func:`plane_moments`, once for each pass; from the second on the weights are
+    divided by the squared depths. Compiled.
+    """
+    rows, S_inverse, P, D_inverse, du, dv = native.fit_planes(frame.xy, u, v, w, n_passes)
+    return PlaneFit(rows, S_inverse, P, D_inverse), du, dv
 
 
 @dataclass(frozen=True, slots=True, eq=False)

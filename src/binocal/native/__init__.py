@@ -176,6 +176,31 @@ def unweighted_columns(
     return columns
 
 
+def fit_planes(
+    xy: Float[ndarray, "n 2"],
+    u: Float[ndarray, "*batch n"],
+    v: Float[ndarray, "*batch n"],
+    w: Float[ndarray, "*batch n"],
+    n_passes: int,
+) -> tuple[
+    Float[ndarray, "*batch 3 3"],
+    Float[ndarray, "*batch 3 3"],
+    Float[ndarray, "*batch 3 6"],
+    Float[ndarray, "*batch 2 2"],
+    Float[ndarray, "*batch n"],
+    Float[ndarray, "*batch n"],
+]:
+    """Homographies of plane points, the blocks of their inverse normal matrices, and residuals in u and v.
+
+    Model and formulas: :func:`binocal.geometry.homography.fit_plane`.
+    """
+    batch = u.shape[:-1]
+    out = tuple(np.empty((*batch, *shape)) for shape in ((3, 3), (3, 3), (3, 6), (2, 2), u.shape[-1:], u.shape[-1:]))
+    arrays = [np.ascontiguousarray(a, dtype=float) for a in (xy.T, u, v, w)]
+    _kernel.fit_planes(*arrays, n_passes, *out, _n_threads(u.size // 4))
+    return out
+
+
 def solve_steps(
     grams: tuple[Float[ndarray, "*batch views q q"], ...],
     T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,

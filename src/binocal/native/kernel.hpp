@@ -39,6 +39,7 @@ void in_parallel(std::size_t count, std::size_t n_threads, const Work& work) {
 }
 
 void register_accumulate(nb::module_& module);
+void register_planes(nb::module_& module);
 void register_poses(nb::module_& module);
 void register_step(nb::module_& module);
 void register_corner_fit(nb::module_& module);

@@ -4,6 +4,7 @@
 NB_MODULE(_kernel, module) {
     module.doc() = "The compiled kernels of binocal. Use them through binocal.native.";
     binocal::register_accumulate(module);
+    binocal::register_planes(module);
     binocal::register_poses(module);
     binocal::register_step(module);
     binocal::register_corner_fit(module);
