@@ -7,6 +7,7 @@ import pytest
 
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
+from binocal.calibrators.view_selection import select_views
 from binocal.geometry import so3
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.simulation.noise import scatter_corners
@@ -115,3 +116,10 @@ def test_a_reversed_view_is_repaired_with_its_covariances():
     assert np.array_equal(repaired.evidence.detections.left_covariance_px2, detections.left_covariance_px2)
     difference = errors_of(repaired, rig) - errors_of(straight, rig)
     assert np.all(np.abs(difference) < 0.05 * np.array([straight.covariance.sigma[name] for name in NAMES]))
+
+
+def test_the_most_informative_views_are_the_sharp_ones():
+    _, detections = mixed_detections(table2_rig(), np.random.default_rng(6), 40)
+    chosen = select_views(detections, 12, model="brown4")
+    assert np.all(chosen.views % 2 == 0)  # every other view is blurred
+    assert chosen.depth_sigma < 1.3 * chosen.all_depth_sigma

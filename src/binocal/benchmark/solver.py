@@ -64,7 +64,7 @@ def run_solver_benchmark(
 ) -> dict[str, Any]:
     """Time all in turn, ``rounds`` times per number of pairs after one warm-up round, and the batch of rigs.
 
-    Medians, spread, errors against the truth. mrcal takes part where some Python on the machine has it.
+    Medians, spread, processor time, errors against the truth, memory. mrcal takes part where some Python on the machine has it.
     """
     import cv2
 
@@ -74,6 +74,7 @@ def run_solver_benchmark(
     rows = []
     for n_views in pairs:
         times: dict[str, list[float]] = {name: [] for name in methods}
+        cpu_times: dict[str, list[float]] = {name: [] for name in methods if name != "mrcal"}
         errors: dict[str, list[tuple[float, float]]] = {name: [] for name in methods}
         for round_index in range(rounds + 1):
             truth_scene, detections = scene(n_views, seed + 1000 * round_index + n_views)
@@ -81,12 +82,16 @@ def run_solver_benchmark(
             for name, method in methods.items():
                 if name != "binocal" and n_views > PEER_LIMIT_PAIRS:
                     continue
+                cpu_start_s = time.process_time()
                 elapsed_s, R, t = method(detections)
+                cpu_s = time.process_time() - cpu_start_s
                 if round_index:
                     times[name].append(elapsed_s)
+                    if name in cpu_times:
+                        cpu_times[name].append(cpu_s)
                     rotation_deg = float(np.degrees(so3.angle_rad(R @ truth.R.T)))
                     errors[name].append((rotation_deg, 1e3 * float(np.linalg.norm(t - truth.t))))
-        rows.append(_row(n_views, times, errors) | _added_memory(n_views, seed))
+        rows.append(_row(n_views, times, errors) | _cpu(cpu_times) | _added_memory(n_views, seed))
     batches = [_time_batch(seed, rounds, intrinsics=free) for free in (False, True)]
     machine = (
         f"{platform.machine()}, {n_cpus()} processors, Python {platform.python_version()}, NumPy {np.__version__}, "
@@ -129,6 +134,15 @@ def _row(n_views: int, times: dict[str, list[float]], errors: dict[str, list[tup
         row[f"{name}_translation_error_mm"] = float(translation_mm)
         if name != "binocal":
             row[f"{name}_over_binocal"] = _span(np.array(seconds) / np.array(times["binocal"]))
+    return row
+
+
+def _cpu(cpu_times: dict[str, list[float]]) -> dict[str, Any]:
+    """Processor time of all threads of this process: what else the machine does disturbs it less. mrcal runs in another."""
+    own = np.array(cpu_times["binocal"])
+    row: dict[str, Any] = {"binocal_cpu_s": _span(own)}
+    if cpu_times["opencv"]:
+        row["opencv_cpu_over_binocal"] = _span(np.array(cpu_times["opencv"]) / own)
     return row
 
 
@@ -197,6 +211,7 @@ def _format(rows: list[dict[str, Any]], batches: list[dict[str, Any]], machine: 
     head = [f"{'pairs':>6}", f"{'binocal ms (min..max)':>24}"]
     for name in peers:
         head += [f"{name + ' ms':>22}", f"{name + ' / binocal':>22}"]
+    head += [f"{'binocal CPU ms':>20}", f"{'opencv / binocal, CPU':>22}"]
     head += [f"{'rotation error deg':>30}", f"{'translation error mm':>30}", f"{'added MB':>14}"]
     lines = [f"corners to rig, {BOARD}, noise {NOISE_PX} px ({machine})", " ".join(head)]
     for row in rows:
@@ -204,6 +219,8 @@ def _format(rows: list[dict[str, Any]], batches: list[dict[str, Any]], machine: 
         for name in peers:
             cells.append(f"{span(row.get(f'{name}_s'), 1e3, 0):>22}")
             cells.append(f"{span(row.get(f'{name}_over_binocal'), 1, 1):>22}")
+        cells.append(f"{span(row['binocal_cpu_s'], 1e3, 1):>20}")
+        cells.append(f"{span(row.get('opencv_cpu_over_binocal'), 1, 1):>22}")
         for key in ("rotation_error_deg", "translation_error_mm"):
             values = (row.get(f"{name}_{key}") for name in ("binocal", *peers))
             cells.append(f"{' / '.join(f'{value:.5f}' for value in values if value is not None):>30}")
