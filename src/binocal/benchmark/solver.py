@@ -2,6 +2,7 @@
 
 The peers are given what they do best: exact board, all corners, five distortion coefficients, no outliers, intrinsics
 refined jointly (``CALIB_USE_INTRINSIC_GUESS``). binocal does more in its time: robust loss, view checks, covariance.
+OpenCV gets one thread, as binocal takes for up to 200 pairs: its own threads wait by spinning, which no clock measures well.
 """
 
 from __future__ import annotations
@@ -72,6 +73,8 @@ def run_solver_benchmark(
     if find_mrcal() is not None:
         methods["mrcal"] = _run_mrcal
     rows = []
+    own_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
     for n_views in pairs:
         times: dict[str, list[float]] = {name: [] for name in methods}
         cpu_times: dict[str, list[float]] = {name: [] for name in methods if name != "mrcal"}
@@ -92,6 +95,7 @@ def run_solver_benchmark(
                     rotation_deg = float(np.degrees(so3.angle_rad(R @ truth.R.T)))
                     errors[name].append((rotation_deg, 1e3 * float(np.linalg.norm(t - truth.t))))
         rows.append(_row(n_views, times, errors) | _cpu(cpu_times) | _added_memory(n_views, seed))
+    cv2.setNumThreads(own_threads)
     batches = [_time_batch(seed, rounds, intrinsics=free) for free in (False, True)]
     machine = (
         f"{platform.machine()}, {n_cpus()} processors, Python {platform.python_version()}, NumPy {np.__version__}, "
