@@ -35,6 +35,7 @@ CLEAN_PICTURE_OUTLIER_SHARE = 0.05  # of one picture: four corners of 88
 CLEAN_RATIO = 2.0  # RMS of the worst picture over the median one's; noise alone reaches 1.3 at 88 corners, 1.7 at 12
 CLEAN_HOMOGRAPHY_RATIO = 1.2  # over what free homographies leave, lens and all
 CLEAN_NOISE_SHARE = 0.01  # corner noise over corner spacing: half of what small real pictures reach
+CLEAN_SPACING_VIEWS = 4  # tell the spacing to a tenth, which is all that this doubt needs
 CLEAN_CENTRE_SHARE = 0.08  # of the picture's size; lenses sit within 0.1
 CLEAN_FOCAL_SIGMA_SHARE = 0.005  # the scene's geometry is then beyond question: weak sets start at 0.01
 CLEAN_BASELINE_SIGMA_SHARE = 0.02
@@ -151,7 +152,8 @@ def _is_beyond_doubt(calibration: StereoCalibration) -> bool:
     rig, sigma = calibration.rig, calibration.covariance.sigma
     if calibration.warnings or rig.is_swapped:
         return False
-    if calibration.noise_px > CLEAN_NOISE_SHARE * trust.corner_spacing_px(calibration.evidence.detections):
+    spacing_px = trust.corner_spacing_px(calibration.evidence.detections, CLEAN_SPACING_VIEWS)
+    if not calibration.noise_px < CLEAN_NOISE_SHARE * spacing_px:
         return False
     for side, camera in (("left", rig.left), ("right", rig.right)):
         size = np.array(camera.size_wh)

@@ -208,14 +208,14 @@ def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
     return float(np.degrees(np.sqrt(np.mean((2 * np.arcsin(chords / 2)) ** 2))))
 
 
-def corner_spacing_px(detections: Detections) -> float:
+def corner_spacing_px(detections: Detections, most_views: int = MAX_SPACING_VIEWS) -> float:
     """Median distance in the pictures of corners that are neighbours on the board; NaN where none are seen."""
     points = detections.object_points_m
     half = 0.5 * np.square(points).sum(axis=1)
     distance2 = half - points @ points.T  # half of it, short of a constant for each row
     np.fill_diagonal(distance2, np.inf)
     nearest = np.argmin(distance2, axis=1)
-    n_some = min(detections.n_views, MAX_SPACING_VIEWS)
+    n_some = min(detections.n_views, most_views)
     some = np.arange(n_some) * (detections.n_views - 1) // max(n_some - 1, 1)
     px = np.concatenate([detections.left_px[some], detections.right_px[some]])
     steps = px[:, nearest] - px

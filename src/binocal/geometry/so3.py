@@ -68,8 +68,11 @@ def angle_rad(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch"]:
 def project_to_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3 3"]:
     """Nearest rotation in the Frobenius norm. Source: Kabsch 1976; near rotations Newton's iteration (Higham 1986)."""
     excess = M.swapaxes(-1, -2) @ M - np.eye(3)
-    if np.all(np.abs(excess) < 1e-8) and np.all(np.linalg.det(M) > 0):
-        return M - 0.5 * M @ excess  # the error is squared: below rounding
+    if np.abs(excess).max(initial=0) < 0.1 and np.all(np.linalg.det(M) > 0):
+        while np.abs(excess).max(initial=0) > 1e-8:  # a few steps: each squares the error
+            M = M - 0.5 * M @ excess
+            excess = M.swapaxes(-1, -2) @ M - np.eye(3)
+        return M - 0.5 * M @ excess
     U, _, Vt = np.linalg.svd(M)
     U = U.copy()
     U[..., :, 2] *= np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)[..., None]

@@ -109,9 +109,13 @@ def _focal_lengths(rows: Float[ndarray, "cameras views 3 3"]) -> Float[ndarray, 
     Source: Zhang 2000, eqs 3 and 4. None where one comes out implausible.
     """
     h1, h2 = rows[..., 0], rows[..., 1]
-    size = np.sum(h1 * h1, axis=-1) + np.sum(h2 * h2, axis=-1)
-    both = np.stack([h1 * h2, (h1 * h1 - h2 * h2) / 2], axis=-2) / size[..., None, None]
-    a, b = both[..., 0] + both[..., 1], both[..., 2]
+    size = np.vecdot(h1, h1) + np.vecdot(h2, h2)
+    orthogonal, equal = h1 * h2 / size[..., None], (h1 + h2) * (h1 - h2) / (2 * size[..., None])
+    squares = products = 0.0
+    for each in (orthogonal, equal):
+        across = each[..., 0] + each[..., 1]
+        squares = squares + np.vecdot(across, across)
+        products = products + np.vecdot(across, each[..., 2])
     with np.errstate(all="ignore"):
-        focal = np.sqrt(-np.sum(a * a, axis=(-1, -2)) / np.sum(a * b, axis=(-1, -2)))
+        focal = np.sqrt(-squares / products)
     return focal if np.all((focal > _FOCAL_RANGE[0]) & (focal < _FOCAL_RANGE[1])) else None

@@ -52,7 +52,10 @@ def shared_covariance(
     """
     H = shared_information(problem, estimate, equations)
     scale = 1 / np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-    values, vectors = np.linalg.eigh(np.nan_to_num(H * scale[:, None] * scale))
+    equilibrated = H * scale[:, None] * scale
+    if not np.isfinite(equilibrated).all():
+        equilibrated = np.nan_to_num(equilibrated)
+    values, vectors = np.linalg.eigh(equilibrated)
     if not values[0] > values[-1] / SINGULAR_CONDITION:
         weakest = np.abs(vectors[:, 0])
         names = [shared_names(problem)[i] for i in np.argsort(-weakest)[:3]]
