@@ -35,9 +35,13 @@ constexpr int kParameters = 11;
 constexpr int kColumns = kParameters + 1;  // the residual is the last column of the Jacobian
 constexpr int kMaxRadius = 14;             // beyond it lens curvature costs more than the additional edge length gains
 constexpr double kMinRadius = 2.5;
+constexpr double kFirstRadius = 7;
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
 constexpr int kMaxEvaluations = 25;
+// A step is the last if it is short, px, or, being short enough to be followed by one a tenth as long, if it is less than
+// this many standard deviations of the parameters together.
+constexpr double kLastStep = 0.008, kLastStepOfSigma = 1, kLastStepAtMost = 0.03;
 constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened picture's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
@@ -160,32 +164,35 @@ inline void multiply(const Workspace& work, Equations& out) {
     portable::multiply(work, out);
 }
 
-// Solve A x = b for a symmetric positive definite A of size kParameters by Cholesky; false where it is not.
-inline bool solve(const double (&A)[kParameters][kParameters], const double* b, double* x) {
-    double L[kParameters][kParameters];
+// Cholesky factor of a symmetric matrix of size kParameters: lower triangle, the diagonal inverted; false where it is
+// not positive definite.
+inline bool factorize(const double (&A)[kParameters][kParameters], double (&L)[kParameters][kParameters]) {
     for (int i = 0; i < kParameters; ++i) {
         for (int j = 0; j <= i; ++j) {
             double s = A[i][j];
             for (int k = 0; k < j; ++k) s -= L[i][k] * L[j][k];
             if (i == j) {
                 if (!(s > 1e-12 * A[i][i])) return false;
-                L[i][i] = std::sqrt(s);
+                L[i][i] = 1 / std::sqrt(s);
             } else {
-                L[i][j] = s / L[j][j];
+                L[i][j] = s * L[j][j];
             }
         }
     }
+    return true;
+}
+
+inline void solve(const double (&L)[kParameters][kParameters], const double* b, double* x) {
     for (int i = 0; i < kParameters; ++i) {
         double s = b[i];
         for (int k = 0; k < i; ++k) s -= L[i][k] * x[k];
-        x[i] = s / L[i][i];
+        x[i] = s * L[i][i];
     }
     for (int i = kParameters - 1; i >= 0; --i) {
         double s = x[i];
         for (int k = i + 1; k < kParameters; ++k) s -= L[k][i] * x[k];
-        x[i] = s / L[i][i];
+        x[i] = s * L[i][i];
     }
-    return true;
 }
 
 // The information matrix, with weak priors on what small windows cannot tell: the two blurs' difference and the tone.
@@ -302,8 +309,9 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     auto room = [&](double x, double y) {  // the disc and its soft edge stay inside the picture
         return std::min(std::min(x, width - 1 - x), std::min(y, height - 1 - y)) - 1.9;
     };
+    double greatest = kFirstRadius;  // a small disc until the corner is nearly there, which costs a quarter
     auto region_of = [&](double x, double y, double blur) {
-        double radius = std::min({static_cast<double>(kMaxRadius), 0.85 * input.reach, input.reach - 2 * blur});
+        double radius = std::min({greatest, 0.85 * input.reach, input.reach - 2 * blur});
         double strip = std::max(input.strip - 2 * blur, 1.0);
         return Region{std::min(std::max(radius, kMinRadius), room(x, y)), strip};
     };
@@ -328,14 +336,16 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     bool is_done = false;
     int n_evaluations = 1;
     while (!is_done && n_evaluations < kMaxEvaluations) {
-        double A[kParameters][kParameters], gradient[kParameters], step[kParameters], next[kParameters];
+        double A[kParameters][kParameters], L[kParameters][kParameters];
+        double gradient[kParameters], step[kParameters], next[kParameters];
         information(current, p, cost, A, gradient);
         for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping;
-        if (!solve(A, gradient, step)) {
+        if (!factorize(A, L)) {
             damping = std::max(10 * damping, 1e-3);
             if (damping > 1e6) return failed;
             continue;
         }
+        solve(L, gradient, step);
         double shrink = 1;  // one step moves the corner by less than a third of the disc, turns by 0.4 rad, blurs by e^0.7
         shrink = std::min(shrink, std::max(1.0, region.radius / 3) / std::max(1e-9, std::hypot(step[kX], step[kY])));
         for (int i : {kAngle1, kAngle2}) shrink = std::min(shrink, 0.4 / std::max(1e-9, std::fabs(step[i])));
@@ -351,16 +361,19 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
         }
         double next_cost = evaluate(next, trial);
         ++n_evaluations;
-        double moved = shrink * std::hypot(step[kX], step[kY]);
+        double moved = shrink * std::hypot(step[kX], step[kY]), decrement = 0;  // squared standard deviations
+        for (int i = 0; i < kParameters; ++i) decrement += gradient[i] * step[i] / cost;
+        bool is_short = moved < kLastStep || (moved < kLastStepAtMost && decrement < kLastStepOfSigma * kLastStepOfSigma);
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (next_cost <= cost * (1 + 1e-6) || (moved < 0.05 && next_cost < cost * (1 + 3e-3))) {
-            is_done = moved < 0.008 && shrink == 1 && damping < 0.1 && (std::fabs(step[kBlur1]) < 0.05 || next[kBlur1] == kLeastLogBlur) &&
-                      (std::fabs(step[kBlur2]) < 0.05 || next[kBlur2] == kLeastLogBlur);
+            is_done = greatest == kMaxRadius && is_short && shrink == 1 && damping < 0.1 && (std::fabs(step[kBlur1]) < 0.02 || next[kBlur1] == kLeastLogBlur) &&
+                      (std::fabs(step[kBlur2]) < 0.02 || next[kBlur2] == kLeastLogBlur);
             std::copy(next, next + kParameters, p);
             current = trial;
             cost = next_cost;
             damping = std::max(damping * 0.1, 1e-6);
-            if (!is_done && n_evaluations < 6) {  // the disc follows the blur that is found, then stays
+            if (!is_done && (moved < 0.3 || n_evaluations > 3)) greatest = kMaxRadius;
+            if (!is_done && n_evaluations < 8) {  // the disc follows the blur that is found, then stays
                 Region wanted = region_of(p[kX], p[kY], std::exp(std::max(p[kBlur1], p[kBlur2])));
                 if (!(wanted.radius >= kMinRadius)) return failed;
                 if (std::fabs(wanted.radius - region.radius) > 0.3 || std::fabs(wanted.strip - region.strip) > 0.3) {
@@ -380,13 +393,14 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     if (!(std::fabs(p[kContrast]) > 0.2) || skew < 0.17 || std::max(blur1, blur2) > region.radius + 0.5)
         return failed;
 
-    double A[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
+    double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
     information(current, p, cost, A, gradient);
+    if (!factorize(A, L)) return failed;
     constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
     for (int i = 0; i < 4; ++i) {
         double unit[kParameters] = {};
         unit[shown[i]] = 1;
-        if (!solve(A, unit, inverse[i])) return failed;
+        solve(L, unit, inverse[i]);
     }
     double unit = contrast * contrast;
     CornerResult r;
