@@ -15,7 +15,8 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices, link_corners
 from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import find_irregular
-from binocal.detection.xcorners import SaddlePicture, XCorners, find_x_corners, localize_saddles, read_rings, sample
+from binocal.detection.xcorners import SaddlePicture, XCorners, find_x_corners, localize_saddles, read_rings
+from binocal.native import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
@@ -271,7 +272,7 @@ def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2
     share = np.linspace(0.2, 0.8, 7)
     v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
-    values = sample(smooth, np.nan_to_num(weights @ corners))
+    values = pictures.sample(smooth, weights @ corners)
     rows, columns = values.shape[:2]
     is_whole = np.isfinite(corners[..., 0]).all(axis=2)
     is_bright = ((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)) & is_whole
@@ -299,7 +300,7 @@ def _are_faint(smooth: ndarray, points: Float[ndarray, "n 2"], spacing: Float[nd
     radius = float(np.clip(0.2 * np.median(spacing[seen]), 2.5, 8.0))
     is_corner, _, contrast = read_rings(smooth, points[seen], radius, min_contrast_dn=3.0, max_unlikeness=0.6)
     if is_corner.mean() > 0.5:
-        relative = contrast / (sample(smooth, points[seen]) + 1)
+        relative = contrast / (pictures.sample(smooth, points[seen]) + 1)
         faint[seen] = ~is_corner
         faint[seen] |= (contrast < np.median(contrast[is_corner]) / 3) & (relative < np.median(relative[is_corner]) / 3)
     return faint

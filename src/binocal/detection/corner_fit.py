@@ -1,6 +1,6 @@
 """Corners by a maximum-likelihood fit of a blurred saddle to the raw picture, each with its covariance.
 
-The model and the fit are :mod:`binocal.native`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
+The model and the fit are :mod:`binocal.native.pictures`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
 its own first, then all of a picture as one estimate, for they share the pixels' noise, the light's slope and the lens.
 """
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal import native
+from binocal.native import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -52,8 +52,8 @@ def fit_corners(
     """
     points_px = np.asarray(points_px, dtype=float)
     strip = np.full(len(points_px), np.inf) if strip_px is None else strip_px
-    fits = native.fit_corners(grey, points_px, reach_px, strip)
-    pooled = native.pool_corners(fits, board_xy)
+    fits = pictures.fit_corners(grey, points_px, reach_px, strip)
+    pooled = pictures.pool_corners(fits, board_xy)
     blur = np.sqrt(np.maximum(fits.blur_px**2 - 1 / 12, 0))
     return FittedCorners(
         pooled.points_px, pooled.covariance_px2, pooled.noise_dn, pooled.misfit, blur, np.abs(fits.contrast_dn)

@@ -16,18 +16,16 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
+from binocal.native import pictures
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int, UInt8
 
-N_RING = 32  # samples on a ring: 11 degrees apart, fine enough for sectors of 30 degrees
 MIN_CONTRAST_DN = 6.0  # of 255; ring contrast below it is noise in every camera tried
 # Opposite samples of a ring agree to 0.35 of its contrast: this admits shading across the ring and a centre that is off
 # by a fifth of the radius.
 MAX_UNLIKENESS = 0.35
 _STRIP_PIXELS = 1 << 16  # four float planes of a strip are 1 MB
-_FOLLOWING = np.roll(np.arange(N_RING), -1)
-_ANGLES = 2 * np.pi * np.arange(N_RING) / N_RING
-_RING = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,44 +147,19 @@ def localize_saddles(
     if len(index) == 0:
         return points
     reach = int(np.clip(np.sort(spacing_px[index])[len(index) // 5] / 3, 2, 8))
-    step, fit = _quadratic_fit(reach)
-    size_wh = np.array(picture.shape[::-1])
-    for _ in range(2):
-        centre = np.rint(points[index]).astype(int)
-        is_inside = ((centre >= reach) & (centre < size_wh - reach)).all(axis=1)
-        index, centre = index[is_inside], centre[is_inside]
-        patch = picture[(centre[:, 1, None] + step)[:, :, None], (centre[:, 0, None] + step)[:, None, :]]
-        a, b, c, d, e = fit @ patch.reshape(len(index), -1).astype(np.float32).T
-        determinant = 4 * a * c - b * b
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = np.stack([b * e - 2 * c * d, b * d - 2 * a * e]) / determinant
-        moved = centre + shift.T
-        is_near = (determinant < -1e-6) & (np.abs(moved - points_px[index]) <= reach).all(axis=1)
-        points[index[is_near]] = moved[is_near]
+    fit = _quadratic_fit(reach)
+    points[index] = pictures.localize_saddles(picture, points[index], fit, reach)
     return points
 
 
 @lru_cache(maxsize=16)
-def _quadratic_fit(reach: int) -> tuple[Int[ndarray, "k"], Float32[ndarray, "5 k2"]]:
-    """Steps across a window, and the matrix from its pixels to the coefficients of x^2, xy, y^2, x and y."""
+def _quadratic_fit(reach: int) -> Float[ndarray, "5 k2"]:
+    """The matrix from a window's pixels to the coefficients of x^2, xy, y^2, x and y."""
     step = np.arange(-reach, reach + 1)
     y, x = (axis.ravel().astype(float) for axis in np.meshgrid(step, step, indexing="ij"))
     weight = np.exp(-(x**2 + y**2) / reach**2)
     basis = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1)
-    return step, np.linalg.solve(basis.T @ (weight[:, None] * basis), basis.T * weight)[:5].astype(np.float32)
-
-
-def sample(image: ndarray, points_px: Float[ndarray, "*n 2"]) -> Float32[ndarray, "*n"]:
-    """Bilinear values (float32) at points; the border's value beyond the border. ``image`` is uint8 or float32."""
-    flat = np.ascontiguousarray(points_px, dtype=np.float32).reshape(-1, 1, 2)
-    if not len(flat):
-        return np.zeros(points_px.shape[:-1], np.float32)
-    values = [
-        cv2.remap(image, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for part in np.array_split(flat, len(flat) // 30_000 + 1)
-    ]  # remap is limited to 32767 rows
-    together = values[0] if len(values) == 1 else np.concatenate(values)
-    return together.reshape(points_px.shape[:-1]).astype(np.float32, copy=False)
+    return np.linalg.solve(basis.T @ (weight[:, None] * basis), basis.T * weight)[:5]
 
 
 def read_rings(
@@ -198,36 +171,7 @@ def read_rings(
     max_unlikeness: float = MAX_UNLIKENESS,
 ) -> tuple[Bool[ndarray, "n"], Float[ndarray, "n 4"], Float[ndarray, "n"]]:
     """Which points are X-corners, their edge directions, and their contrast; see :class:`XCorners`."""
-    n = len(points_px)
-    rays = np.zeros((n, 4))
-    if n == 0:
-        return np.zeros(0, bool), rays, np.zeros(0)
-    values = sample(smooth, (points_px[:, None] + radius_px * _RING).astype(np.float32))
-    top, bottom = values.max(axis=1), values.min(axis=1)
-    contrast = top - bottom
-    level = values - (0.5 * (top + bottom))[:, None]
-    is_bright = level > 0
-    is_crossing = is_bright != is_bright[:, _FOLLOWING]
-    half = N_RING // 2
-    unlike = np.abs(values[:, :half] - values[:, half:]).sum(axis=1) * np.float32(1 / half)
-    is_corner = (is_crossing.sum(axis=1) == 4) & (unlike < max_unlikeness * contrast) & (contrast > min_contrast_dn)
-    index = np.nonzero(is_corner)[0]
-    if len(index) == 0:
-        return is_corner, rays, contrast
-    level = level[index]
-    at = np.nonzero(is_crossing[index])[1].reshape(-1, 4)
-    before = np.take_along_axis(level, at, 1).astype(float)
-    after = np.take_along_axis(level, _FOLLOWING[at], 1)
-    angles = (at + before / (before - after)) * (2 * np.pi / N_RING)
-    starts_dark = before[:, 0] < 0
-    angles = np.where(starts_dark[:, None], angles, angles[:, [1, 2, 3, 0]])
-    rays[index] = angles
-    # Each edge runs straight through: 40 degrees admit strong lens distortion, thin sectors and noise.
-    bend = np.abs(_wrap(angles[:, :2] + np.pi - angles[:, 2:]))
-    sectors = np.mod(angles[:, [1, 2, 3, 0]] - angles, 2 * np.pi)
-    is_straight = (bend < np.radians(40)).all(axis=1) & (sectors > np.radians(18)).all(axis=1)
-    is_corner[index[~is_straight]] = False
-    return is_corner, rays, contrast
+    return pictures.read_rings(smooth, points_px, radius_px, min_contrast_dn, max_unlikeness)
 
 
 def _wrap(angle: ndarray) -> ndarray:

@@ -1,4 +1,4 @@
-"""The one door to the compiled kernel: the inner loop of the joint solver, and the fit of corners.
+"""The one door to the compiled kernel: the inner loop of the joint solver; pictures enter by :mod:`binocal.native.pictures`.
 
 Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
 T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
@@ -241,110 +241,6 @@ def _solve(
         *out,
         min(_N_CPUS, 1 + n_rigs * n_views // VIEWS_PER_THREAD),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerFits:
-    """Fits of the corner model, each on its own; NaN where it failed. ``raw`` is the kernel's ``CornerResult``."""
-
-    raw: Float[ndarray, "n 24"]
-
-    @property
-    def points_px(self) -> Float[ndarray, "n 2"]:
-        """The corners."""
-        return self.raw[:, 0:2]
-
-    @property
-    def light_slope(self) -> Float[ndarray, "n 2"]:
-        """The light's relative slope per pixel."""
-        return self.raw[:, 2:4]
-
-    @property
-    def joint_covariance(self) -> Float[ndarray, "n 4 4"]:
-        """Covariance of x, y and the two slopes for pixel noise of one grey level (px, 1/px)."""
-        joint = np.empty((len(self.raw), 4, 4))
-        row, column = np.triu_indices(4)
-        joint[:, row, column] = joint[:, column, row] = self.raw[:, 4:14]
-        return joint
-
-    @property
-    def odd_variance(self) -> Float[ndarray, "n"]:
-        """Mean square of what is odd in the residuals about the corner, grey levels^2."""
-        return self.raw[:, 14]
-
-    @property
-    def variance(self) -> Float[ndarray, "n"]:
-        """Mean square of all residuals, grey levels^2."""
-        return self.raw[:, 15]
-
-    @property
-    def contrast_dn(self) -> Float[ndarray, "n"]:
-        """Bright minus dark, negative where the picture's sign is."""
-        return 2 * self.raw[:, 16]
-
-    @property
-    def blur_px(self) -> Float[ndarray, "n 2"]:
-        """The two edges' Gaussian sigmas, pixel integration included."""
-        return self.raw[:, 17:19]
-
-    @property
-    def edges_rad(self) -> Float[ndarray, "n 2"]:
-        """Directions of the two edges."""
-        return self.raw[:, 19:21]
-
-    @property
-    def radius_px(self) -> Float[ndarray, "n"]:
-        """Radius of the disc that was fitted."""
-        return self.raw[:, 21]
-
-    @property
-    def n_evaluations(self) -> Float[ndarray, "n"]:
-        """How often the model was evaluated."""
-        return self.raw[:, 23]
-
-
-def fit_corners(
-    grey: ndarray, points_px: Float[ndarray, "n 2"], reach_px: Float[ndarray, "n"], strip_px: Float[ndarray, "n"]
-) -> CornerFits:
-    """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
-
-    ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
-    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``.
-
-    Raises:
-        ValueError: The picture is of another type or shape.
-    """
-    if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16, np.float32):
-        raise ValueError(f"a picture is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
-    inputs = np.empty((len(points_px), 4))
-    inputs[:, :2], inputs[:, 2], inputs[:, 3] = points_px, reach_px, strip_px
-    raw = np.empty((len(inputs), _kernel.CORNER_RESULT_SIZE))
-    _kernel.fit_corners(np.ascontiguousarray(grey), inputs, raw)
-    return CornerFits(raw)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PooledCorners:
-    """Corners and covariances that share a picture's noise and light, NaN where there is no corner.
-
-    ``misfit`` is the variance of the residuals' odd part over the picture's noise.
-    """
-
-    points_px: Float[ndarray, "n 2"]
-    covariance_px2: Float[ndarray, "n 2 2"]
-    misfit: Float[ndarray, "n"]
-    noise_dn: float
-
-
-def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> PooledCorners:
-    """One estimate from the fits of one picture; see ``corner_pool.hpp``.
-
-    With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
-    """
-    pooled = np.empty((len(fits.raw), _kernel.POOLED_CORNER_SIZE))
-    places = _NOTHING if board_xy is None else np.ascontiguousarray(board_xy, dtype=float)
-    noise2 = _kernel.pool_corners(fits.raw, places, pooled)
-    return PooledCorners(pooled[:, 0:2], pooled[:, 2:6].reshape(-1, 2, 2), pooled[:, 6], math.sqrt(noise2))
 
 
 def _flat(
