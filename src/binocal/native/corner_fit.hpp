@@ -11,6 +11,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -39,9 +40,9 @@ constexpr double kFirstRadius = 7;
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
 constexpr int kMaxEvaluations = 25;
-// A step is the last if it is short, px, or, being short enough to be followed by one a tenth as long, if it is less than
-// this many standard deviations of the parameters together.
-constexpr double kLastStep = 0.008, kLastStepOfSigma = 1, kLastStepAtMost = 0.03;
+// A step is the last, and its residuals are those that the Jacobian predicts, if it is short, px, or less than this many
+// standard deviations of the parameters together and short enough for the next to be a twentieth of it.
+constexpr double kLastStep = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03;
 constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened picture's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
@@ -215,18 +216,31 @@ inline void information(const Equations& e, const double* p, double noise2, doub
     gradient[kTone] -= tone * p[kTone];
 }
 
+// The residuals after a step, as the Jacobian predicts them.
+inline void subtract(Workspace& work, const double* step) {
+    for (int k = 0; k < kParameters; ++k) {
+        const float size = static_cast<float>(step[k]);
+        for (int i = 0; i < work.patch.n_vectors * kLanes; ++i) work.columns[kParameters][i] -= size * work.columns[k][i];
+    }
+}
+
 // Where edges, levels and contrast begin, read on two rings around the corner; false where there is no saddle.
 template <typename Pixel>
 bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double radius, double* p, double& offset,
            double& contrast) {
     constexpr int n = 32;  // over half a turn: opposite samples are averaged
     constexpr double pi = 3.14159265358979;
+    static const auto circle = [] {
+        std::array<std::array<double, 2>, n> points;
+        for (int k = 0; k < n; ++k) points[k] = {std::cos(pi * k / n), std::sin(pi * k / n)};
+        return points;
+    }();
     double ring[n];
     for (int k = 0; k < n; ++k) {
-        double c = std::cos(pi * k / n), s = std::sin(pi * k / n), sum = 0;
+        double c = circle[k][0], s = circle[k][1], sum = 0;
         for (double r : {0.55 * radius, 0.8 * radius, -0.55 * radius, -0.8 * radius}) {
-            double px = x + r * c, py = y + r * s;
-            int column = static_cast<int>(std::floor(px)), row = static_cast<int>(std::floor(py));
+            double px = x + r * c, py = y + r * s;  // positive: the ring lies inside the picture
+            int column = static_cast<int>(px), row = static_cast<int>(py);
             double a = px - column, b = py - row;
             const Pixel* at = image + row * width + column;
             sum += (1 - b) * ((1 - a) * at[0] + a * at[1]) + b * ((1 - a) * at[width] + a * at[width + 1]);
@@ -243,8 +257,8 @@ bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double 
     double re = 0, im = 0, share = 0;
     for (int k = 0; k < n; ++k) {
         double level = std::min(1.0, std::max(-1.0, (ring[k] - offset) / contrast));
-        re += level * std::cos(2 * pi * k / n);
-        im += level * std::sin(2 * pi * k / n);
+        re += level * (circle[k][0] * circle[k][0] - circle[k][1] * circle[k][1]);  // cosine and sine of twice the angle
+        im += level * 2 * circle[k][0] * circle[k][1];
         share += 0.5 + 0.5 * level;
     }
     // A square wave of half the period has 0.64 n there; a corner that is no saddle far less.
@@ -333,7 +347,7 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     Equations current, trial;
     work.patch.radius = 0;  // holds another corner
     double cost = evaluate(p, current), damping = 1e-3;
-    bool is_done = false;
+    bool is_done = false, is_linearized_here = true;  // the Jacobian in the workspace is that of p
     int n_evaluations = 1;
     while (!is_done && n_evaluations < kMaxEvaluations) {
         double A[kParameters][kParameters], L[kParameters][kParameters];
@@ -359,15 +373,26 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
             else
                 return failed;
         }
+        double moved = shrink * std::hypot(step[kX], step[kY]), decrement = 0;
+        for (int i = 0; i < kParameters; ++i) decrement += gradient[i] * step[i];
+        bool is_short = moved < kLastStep || (moved < kLastStepAtMost && decrement < kLastStepOfSigma * kLastStepOfSigma * cost);
+        is_short &= std::fabs(step[kBlur1]) < 0.02 || next[kBlur1] == kLeastLogBlur;
+        is_short &= std::fabs(step[kBlur2]) < 0.02 || next[kBlur2] == kLeastLogBlur;
+        if (is_linearized_here && is_short && greatest == kMaxRadius && shrink == 1 && damping < 0.1) {
+            for (int i = 0; i < kParameters; ++i) step[i] = next[i] - p[i];
+            subtract(work, step);
+            std::copy(next, next + kParameters, p);
+            cost = std::max(cost - decrement / current.weight_sum, 0.0);
+            is_done = true;
+            break;
+        }
         double next_cost = evaluate(next, trial);
         ++n_evaluations;
-        double moved = shrink * std::hypot(step[kX], step[kY]), decrement = 0;  // squared standard deviations
-        for (int i = 0; i < kParameters; ++i) decrement += gradient[i] * step[i] / cost;
-        bool is_short = moved < kLastStep || (moved < kLastStepAtMost && decrement < kLastStepOfSigma * kLastStepOfSigma);
+        is_linearized_here = false;
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (next_cost <= cost * (1 + 1e-6) || (moved < 0.05 && next_cost < cost * (1 + 3e-3))) {
-            is_done = greatest == kMaxRadius && is_short && shrink == 1 && damping < 0.1 && (std::fabs(step[kBlur1]) < 0.02 || next[kBlur1] == kLeastLogBlur) &&
-                      (std::fabs(step[kBlur2]) < 0.02 || next[kBlur2] == kLeastLogBlur);
+            is_linearized_here = true;
+            is_done = greatest == kMaxRadius && moved < kLastStep && is_short && shrink == 1 && damping < 0.1;
             std::copy(next, next + kParameters, p);
             current = trial;
             cost = next_cost;
