@@ -89,7 +89,20 @@ def link_corners(image, points, rays, contrast, max_turn, n_neighbours=14):
     return np.where(is_mutual.reshape(n, 4), neighbour, -1), back_ray
 
 
-def grow_groups(neighbour, back_ray):
+def is_ahead(points, corner_at, start, step, other):
+    """Whether a corner lies where the row behind it and the rows beside it lead, to half a step."""
+    way = points[other] - points[corner_at[start]]
+    for turn in ((-step[0], -step[1]), (-step[1], step[0]), (step[1], -step[0])):
+        behind = (start[0] + turn[0], start[1] + turn[1])
+        ahead = (behind[0] + step[0], behind[1] + step[1])
+        if behind in corner_at and ahead in corner_at:
+            expected = points[corner_at[ahead]] - points[corner_at[behind]]
+            if np.linalg.norm(way - expected) > 0.5 * np.linalg.norm(expected):
+                return False
+    return True
+
+
+def grow_groups(points, neighbour, back_ray):
     """Connected corners with integer cells and the turns of their rays."""
     degree = (neighbour >= 0).sum(axis=1)
     seen, groups = set(), []
@@ -97,17 +110,19 @@ def grow_groups(neighbour, back_ray):
         if seed in seen or degree[seed] < 2:
             continue
         seen.add(seed)
-        place, taken, queue = {seed: ((0, 0), 0)}, {(0, 0)}, deque([seed])
+        place, corner_at, queue = {seed: ((0, 0), 0)}, {(0, 0): seed}, deque([seed])
         while queue:
             corner = queue.popleft()
             (x, y), turn = place[corner]
             for ray, other in enumerate(neighbour[corner].tolist()):
                 step = (ray + turn) % 4
                 cell = (x + STEPS[step][0], y + STEPS[step][1])
-                if other < 0 or other in seen or cell in taken:
+                if other < 0 or other in seen or cell in corner_at:
+                    continue
+                if not is_ahead(points, corner_at, (x, y), STEPS[step], other):
                     continue
                 seen.add(other)
-                taken.add(cell)
+                corner_at[cell] = other
                 place[other] = cell, (step + 2 - int(back_ray[corner, ray])) % 4
                 queue.append(other)
         groups.append((list(place), [cell for cell, _ in place.values()], [turn for _, turn in place.values()]))

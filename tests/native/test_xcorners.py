@@ -69,7 +69,7 @@ def test_links_and_groups_are_the_plain_statements(noise_dn):
     expected, expected_back = plain.link_corners(image, points, rays, contrast, 0.44)
     assert np.array_equal(neighbour, expected) and (neighbour >= 0).sum() > 40
     assert np.array_equal(back_ray[neighbour >= 0], expected_back[neighbour >= 0])
-    groups, plain_groups = pictures.grow_groups(neighbour, back_ray), plain.grow_groups(neighbour, back_ray)
+    groups, plain_groups = (f(points, neighbour, back_ray) for f in (pictures.grow_groups, plain.grow_groups))
     assert len(groups) == len(plain_groups) > 0
     for group, expected_group in zip(groups, plain_groups, strict=True):
         assert all(np.array_equal(part, whole) for part, whole in zip(group, expected_group, strict=True))
@@ -79,11 +79,25 @@ def test_links_and_groups_are_the_plain_statements(noise_dn):
     assert seen.tolist() == [plain.is_edge(image, *edge, 60.0) for edge in zip(start, way, sign, strict=True)]
 
 
+def test_a_link_across_a_shadow_does_not_shear_a_group():
+    points = np.stack(np.meshgrid(np.arange(6.0), np.arange(4.0)), axis=-1).reshape(-1, 2) * 20
+    neighbour, back_ray = np.full((24, 4), -1), np.full((24, 4), -1)
+    for i, (x, y) in enumerate((points / 20).astype(int)):
+        for ray, (dx, dy) in enumerate(plain.STEPS):
+            if 0 <= x + dx < 6 and 0 <= y + dy < 4:
+                neighbour[i, ray], back_ray[i, ray] = i + dx + 6 * dy, (ray + 2) % 4
+    neighbour[14, 0], neighbour[9, 2], neighbour[15, 2], neighbour[8, 0] = 9, 14, -1, -1  # (2, 2) to (3, 1), not (3, 2)
+    groups, plain_groups = (f(points, neighbour, back_ray) for f in (pictures.grow_groups, plain.grow_groups))
+    assert all(np.array_equal(part, whole) for part, whole in zip(groups[0], plain_groups[0], strict=True))
+    members, cells, _ = groups[0]
+    assert len(members) == 24 and np.array_equal(cells - cells[members == 0], (points[members] / 20).astype(int))
+
+
 def test_no_corners_give_no_groups():
     image = np.zeros((40, 40), np.float32)
     none = np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0)
     neighbour, back_ray = pictures.link_corners(image, *none, 0.4)
-    assert neighbour.shape == (0, 4) and pictures.grow_groups(neighbour, back_ray) == []
+    assert neighbour.shape == (0, 4) and pictures.grow_groups(none[0], neighbour, back_ray) == []
     assert pictures.read_rings(image, np.array([[20.0, 20.0]]), 3.0, 6.0, 0.35)[0].tolist() == [False]
     with pytest.raises(ValueError, match="lengths"):
         pictures.link_corners(image, np.zeros((2, 2)), np.zeros((1, 4)), np.zeros(2), 0.4)

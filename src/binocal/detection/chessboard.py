@@ -21,7 +21,10 @@ from binocal.native import pictures
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
 
-MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
+# Of a board whose outline is complete; below it the view is too doubtful to keep. The border of a shadow across a board of
+# eight columns costs a fifth of the corners.
+MIN_SHARE_SEEN = 0.75
+MIN_SHARE_OF_OTHER = 0.85  # of a board of another size, which is only a board if it is nearly whole
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
 _RIVAL_SPACING = (
@@ -161,7 +164,7 @@ def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattic
     boards = [] if main is None else [main]
     for lattice in lattices:
         rows, columns = lattice.points_px.shape[:2]
-        if lattice is main or min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_SEEN * rows * columns:
+        if lattice is main or min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_OF_OTHER * rows * columns:
             continue
         if boards and (
             lattice.n_seen < 0.4 * boards[0].n_seen

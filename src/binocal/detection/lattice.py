@@ -83,7 +83,8 @@ def link_corners(saddles: SaddlePicture, corners: XCorners) -> list[CornerGroup]
     )
     n_ends = (neighbour >= 0).sum(axis=1)
     groups = [
-        CornerGroup(*group, int(n_ends[group[0]].sum()) // 2) for group in pictures.grow_groups(neighbour, back_ray)
+        CornerGroup(*group, int(n_ends[group[0]].sum()) // 2)
+        for group in pictures.grow_groups(corners.points_px, neighbour, back_ray)
     ]
     return sorted(groups, key=lambda group: -len(group))
 

@@ -98,15 +98,16 @@ def link_corners(
 
 
 def grow_groups(
-    neighbour: Int[ndarray, "n 4"], back_ray: Int[ndarray, "n 4"]
+    points_px: Float[ndarray, "n 2"], neighbour: Int[ndarray, "n 4"], back_ray: Int[ndarray, "n 4"]
 ) -> list[tuple[Int[ndarray, "m"], Int[ndarray, "m 2"], Int[ndarray, "m"]]]:
     """Connected corners: members from the seed outwards, integer cells (column, row), and the turn of their rays.
 
-    Seeds are taken by falling number of links, at least two. A corner whose links disagree is left out.
+    Seeds are taken by falling number of links, at least two. A corner whose links disagree is left out, and so is a link
+    that ends more than half a step from where the row behind it, or a row beside it, leads.
     """
     n = len(neighbour)
     members, cells, turns, groups = (np.empty(shape, np.int64) for shape in (n, (n, 2), n, n))
-    count = _kernel.grow_groups(neighbour, back_ray, members, cells, turns, groups)
+    count = _kernel.grow_groups(_places(points_px), neighbour, back_ray, members, cells, turns, groups)
     ends = (np.flatnonzero(np.diff(groups[:count], append=-1)) + 1).tolist()
     return [(members[a:b], cells[a:b], turns[a:b]) for a, b in pairwise([0, *ends])]
 

@@ -254,40 +254,75 @@ void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, s
             if (all[4 * i + ray] >= 0 && all[4 * all[4 * i + ray] + back_ray[4 * i + ray]] != i) neighbour[4 * i + ray] = -1;
 }
 
+// A group's corners by their cells.
+class Cells {
+  public:
+    using Cell = std::array<std::int64_t, 2>;
+    void clear() { entries_.clear(); }
+    void put(Cell cell, std::int64_t corner) { entries_.insert(position(cell), {cell, corner}); }
+    std::int64_t at(Cell cell) const {
+        const auto found = position(cell);
+        return found != entries_.end() && found->first == cell ? found->second : -1;
+    }
+
+  private:
+    using Entry = std::pair<Cell, std::int64_t>;
+    std::vector<Entry>::const_iterator position(const Cell& cell) const {
+        return std::lower_bound(entries_.begin(), entries_.end(), cell, [](const Entry& entry, const Cell& c) { return entry.first < c; });
+    }
+    std::vector<Entry> entries_;  // sorted by cell
+};
+
+constexpr int kStep[4][2] = {{1, 0}, {0, 1}, {-1, 0}, {0, -1}};  // in the turning sense of the rays: x towards y
+
+// Whether a corner lies where the row behind it and the rows beside it lead, to half a step. The border of a shadow looks like
+// an edge and would lead to the corner diagonally ahead.
+bool is_ahead(const double* points, const Cells& cells, const Cells::Cell& from, std::int64_t way, std::int64_t other) {
+    const std::int64_t corner = cells.at(from);
+    const double *p = points + 2 * corner, *q = points + 2 * other;
+    auto agrees = [&](std::int64_t behind, std::int64_t ahead) {  // the step from behind to ahead is the step to be made
+        if (behind < 0 || ahead < 0) return true;
+        const double x = points[2 * ahead] - points[2 * behind], y = points[2 * ahead + 1] - points[2 * behind + 1];
+        return std::hypot(q[0] - p[0] - x, q[1] - p[1] - y) <= 0.5 * std::hypot(x, y);
+    };
+    const std::int64_t dx = kStep[way][0], dy = kStep[way][1];
+    return agrees(cells.at({from[0] - dx, from[1] - dy}), corner) &&
+           agrees(cells.at({from[0] - dy, from[1] + dx}), cells.at({from[0] + dx - dy, from[1] + dy + dx})) &&
+           agrees(cells.at({from[0] + dy, from[1] - dx}), cells.at({from[0] + dx + dy, from[1] + dy - dx}));
+}
+
 // Connected corners with integer cells (column, row) and the turn of their rays, seed first, group after group. A corner
 // whose links disagree is left out. Returns how many entries of members, cells, turns and groups were written.
-std::size_t grow(const std::int64_t* neighbour, const std::int64_t* back_ray, int n, std::int64_t* members, std::int64_t* cells,
-                 std::int64_t* turns, std::int64_t* groups) {
-    constexpr int step[4][2] = {{1, 0}, {0, 1}, {-1, 0}, {0, -1}};  // in the turning sense of the rays: x towards y
+std::size_t grow(const double* points, const std::int64_t* neighbour, const std::int64_t* back_ray, int n, std::int64_t* members,
+                 std::int64_t* cells, std::int64_t* turns, std::int64_t* groups) {
     std::vector<int> degree(n), order(n);
     for (int i = 0; i < n; ++i) degree[i] = static_cast<int>(std::count_if(neighbour + 4 * i, neighbour + 4 * i + 4, [](auto o) { return o >= 0; }));
     std::iota(order.begin(), order.end(), 0);
     std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return degree[a] > degree[b]; });
     std::vector<char> seen(n, 0);
-    std::vector<std::pair<std::int64_t, std::int64_t>> taken;  // sorted
+    Cells taken;
     std::size_t count = 0;
     std::int64_t group = 0;
     for (int seed : order) {
         if (seen[seed] || degree[seed] < 2) continue;
-        taken.assign(1, {0, 0});
-        auto place = [&](std::int64_t corner, std::int64_t x, std::int64_t y, std::int64_t turn) {
+        taken.clear();
+        auto place = [&](std::int64_t corner, const Cells::Cell& cell, std::int64_t turn) {
             seen[corner] = 1;
-            members[count] = corner, cells[2 * count] = x, cells[2 * count + 1] = y, turns[count] = turn, groups[count] = group;
+            taken.put(cell, corner);
+            members[count] = corner, cells[2 * count] = cell[0], cells[2 * count + 1] = cell[1], turns[count] = turn, groups[count] = group;
             ++count;
         };
         std::size_t next = count;
-        place(seed, 0, 0, 0);
+        place(seed, {0, 0}, 0);
         for (; next < count; ++next) {
             const std::int64_t corner = members[next];
+            const Cells::Cell from{cells[2 * next], cells[2 * next + 1]};
             for (int ray = 0; ray < 4; ++ray) {
-                const std::int64_t other = neighbour[4 * corner + ray];
+                const std::int64_t other = neighbour[4 * corner + ray], way = (ray + turns[next]) % 4;
                 if (other < 0 || seen[other]) continue;
-                const std::int64_t way = (ray + turns[next]) % 4;
-                const std::pair<std::int64_t, std::int64_t> cell{cells[2 * next] + step[way][0], cells[2 * next + 1] + step[way][1]};
-                const auto at = std::lower_bound(taken.begin(), taken.end(), cell);
-                if (at != taken.end() && *at == cell) continue;
-                taken.insert(at, cell);
-                place(other, cell.first, cell.second, (way + 6 - back_ray[4 * corner + ray]) % 4);
+                const Cells::Cell cell{from[0] + kStep[way][0], from[1] + kStep[way][1]};
+                if (taken.at(cell) >= 0 || !is_ahead(points, taken, from, way, other)) continue;
+                place(other, cell, (way + 6 - back_ray[4 * corner + ray]) % 4);
             }
         }
         ++group;
@@ -313,16 +348,17 @@ void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles
     link(read, corners, max_turn, to, back);
 }
 
-std::size_t grow_groups(const IndicesIn& neighbour, const IndicesIn& back_ray, IndicesOut members, IndicesOut cells, IndicesOut turns,
+std::size_t grow_groups(const Places& points, const IndicesIn& neighbour, const IndicesIn& back_ray, IndicesOut members, IndicesOut cells, IndicesOut turns,
                         IndicesOut groups) {
     const std::size_t n = members.size();
-    require(neighbour.size() == 4 * n && back_ray.size() == 4 * n && cells.size() == 2 * n && turns.size() == n && groups.size() == n);
+    require(points.shape(0) == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n && cells.size() == 2 * n && turns.size() == n && groups.size() == n);
     const std::int64_t *to = neighbour.data(), *back = back_ray.data();
     for (std::size_t i = 0; i < 4 * n; ++i)
         require(to[i] < static_cast<std::int64_t>(n) && (to[i] < 0 || (back[i] >= 0 && back[i] < 4)));
     std::int64_t *m = members.data(), *c = cells.data(), *t = turns.data(), *g = groups.data();
+    const double* at = points.data();
     nb::gil_scoped_release unlocked;
-    return grow(to, back, static_cast<int>(n), m, c, t, g);
+    return grow(at, to, back, static_cast<int>(n), m, c, t, g);
 }
 
 template <typename Pixel>
