@@ -127,3 +127,39 @@ def grow_groups(points, neighbour, back_ray):
                 queue.append(other)
         groups.append((list(place), [cell for cell, _ in place.values()], [turn for _, turn in place.values()]))
     return groups
+
+
+def saddle_response(smooth):
+    """Minus the determinant of the Hessian by Sobel's second derivatives over 4; 0 in the outermost pixels."""
+    mean, bend, slope = np.array([1.0, 2, 1]), np.array([1.0, -2, 1]), np.array([-1.0, 0, 1])
+
+    def filtered(down, across):
+        return sum(
+            down[i] * across[j] * smooth[i : i + smooth.shape[0] - 2, j : j + smooth.shape[1] - 2].astype(float)
+            for i in range(3)
+            for j in range(3)
+        )
+
+    response = filtered(slope, slope) ** 2 - filtered(mean, bend) * filtered(bend, mean)
+    return np.pad(response / 16, 1)
+
+
+def find_peaks(response, reach, margin, least, most):
+    """Greatest values of their windows, to a fraction of a pixel, in reading order; the ``most`` greatest."""
+    height, width = response.shape
+    found = []
+    for y in range(margin, height - margin):
+        for x in range(margin, width - margin):
+            value = response[y, x]
+            window = response[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1]
+            if value < least or value < window.max():
+                continue
+            place = [x, y]
+            for axis, (before, after) in enumerate(
+                ((response[y, x - 1], response[y, x + 1]), (response[y - 1, x], response[y + 1, x]))
+            ):
+                bend = before - 2 * value + after
+                place[axis] += np.clip(0.5 * (before - after) / bend, -0.5, 0.5) if bend < 0 else 0
+            found.append((value, y * width + x, place))
+    strongest = sorted(found, key=lambda peak: (-peak[0], peak[1]))[:most]
+    return np.array([place for _, _, place in sorted(strongest, key=lambda peak: peak[1])]).reshape(-1, 2)

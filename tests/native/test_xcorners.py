@@ -101,3 +101,23 @@ def test_no_corners_give_no_groups():
     assert pictures.read_rings(image, np.array([[20.0, 20.0]]), 3.0, 6.0, 0.35)[0].tolist() == [False]
     with pytest.raises(ValueError, match="lengths"):
         pictures.link_corners(image, np.zeros((2, 2)), np.zeros((1, 4)), np.zeros(2), 0.4)
+
+
+def test_the_response_is_the_plain_statement():
+    image, _ = make_board(noise_dn=8.0)
+    response = pictures.saddle_response(image)
+    assert np.allclose(response, plain.saddle_response(image), rtol=1e-4, atol=1e-2)
+    into = np.empty_like(image)
+    assert pictures.saddle_response(image, into) is into and np.array_equal(into, response)
+    with pytest.raises(ValueError, match="shape"):
+        pictures.saddle_response(image, np.empty((3, 3), np.float32))
+
+
+@pytest.mark.parametrize("reach, margin, least, most", [(1, 1, -1e9, 100_000), (2, 5, 50.0, 40), (4, 3, 1e9, 10)])
+def test_peaks_are_the_plain_statement(reach, margin, least, most):
+    image, _ = make_board(noise_dn=8.0)
+    response = pictures.saddle_response(image)
+    peaks = pictures.find_peaks(response, reach, margin, least, most)
+    expected = plain.find_peaks(response.astype(float), reach, margin, least, most)
+    assert len(peaks) == len(expected) and (len(peaks) > 0) == (least < 1e6)
+    assert np.allclose(peaks, expected, atol=1e-5)

@@ -7,25 +7,22 @@ Bennett & Lasenby 2014, ChESS).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
 from binocal.native import pictures
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, Int, UInt8
+    from jaxtyping import Bool, Float, Float32, UInt8
 
 MIN_CONTRAST_DN = 6.0  # of 255; ring contrast below it is noise in every camera tried
 # Opposite samples of a ring agree to 0.35 of its contrast: this admits shading across the ring and a centre that is off
 # by a fifth of the radius.
 MAX_UNLIKENESS = 0.35
-_STRIP_PIXELS = 1 << 16  # four float planes of a strip are 1 MB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +34,7 @@ class XCorners:
     minus dark.
     """
 
-    points_px: Float32[ndarray, "n 2"]
+    points_px: Float[ndarray, "n 2"]
     rays_rad: Float[ndarray, "n 4"]
     contrast_dn: Float[ndarray, "n"]
 
@@ -47,91 +44,36 @@ class XCorners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SaddlePicture:
-    """A smoothed picture (0..255, uint8 or float32) with its saddle response, to be read on rings of ``radius_px``."""
+    """A smoothed picture (0..255) with its saddle response, to be read on rings of ``radius_px``."""
 
-    smooth: ndarray
+    smooth: Float32[ndarray, "h w"]
     response: Float32[ndarray, "h w"]
     radius_px: float
 
     @staticmethod
-    def of(smooth: ndarray, radius_px: float) -> SaddlePicture:
-        """The picture with :func:`saddle_response`."""
-        return SaddlePicture(smooth, saddle_response(smooth), radius_px)
-
-
-def saddle_response(smooth: ndarray) -> Float32[ndarray, "h w"]:
-    """Minus the determinant of the Hessian: positive at saddles, zero along edges. ``smooth`` is uint8 or float32."""
-    depth = cv2.CV_16S if smooth.dtype == np.uint8 else cv2.CV_32F
-    height, width = smooth.shape
-    response = np.empty((height, width), np.float32)
-    for start, stop in _strips(height, width):
-        low, high = max(0, start - 1), min(height, stop + 1)
-        strip, inner = smooth[low:high], slice(start - low, stop - low)
-        xx = cv2.Sobel(strip, depth, 2, 0, ksize=3)[inner]
-        yy = cv2.Sobel(strip, depth, 0, 2, ksize=3)[inner]
-        xy = cv2.Sobel(strip, depth, 1, 1, ksize=3)[inner]
-        # ksize-3 kernels sum their smoothing to 4 (second derivatives) and 4 (mixed: 2 x 2), so products carry 16.
-        square = cv2.multiply(xy, xy, scale=1 / 16, dtype=cv2.CV_32F)
-        cv2.subtract(square, cv2.multiply(xx, yy, scale=1 / 16, dtype=cv2.CV_32F), dst=response[start:stop])
-    return response
-
-
-def _strips(height: int, width: int) -> Iterator[tuple[int, int]]:
-    """Rows in strips that the processor's cache holds, which halves the time on large pictures."""
-    rows = max(16, _STRIP_PIXELS // width)
-    return ((start, min(start + rows, height)) for start in range(0, height, rows))
-
-
-def _find_peaks(response: Float32[ndarray, "h w"], size: int, margin: int, least: float) -> Int[ndarray, "n 2"]:
-    """Columns and rows of the response's maxima in windows of ``size``, ``margin`` from the border, above ``least``."""
-    height, width = response.shape
-    kernel = np.ones((size, size), np.uint8)
-    found = []
-    for start, stop in _strips(height, width):
-        low, high = max(0, start - size), min(height, stop + size)
-        highest = cv2.dilate(response[low:high], kernel)[start - low : stop - low]
-        peaks = cv2.compare(response[start:stop], cv2.max(highest, least), cv2.CMP_GE)
-        peaks[:, :margin], peaks[:, -margin:] = 0, 0
-        peaks[: max(0, margin - start)] = 0
-        peaks[max(0, height - margin - start) :] = 0
-        at = cv2.findNonZero(peaks)
-        if at is not None:
-            found.append(at.reshape(-1, 2) + np.array([0, start]))  # (n, 1, 2) before OpenCV 5
-    return np.concatenate(found) if found else np.zeros((0, 2), int)
+    def of(
+        smooth: Float32[ndarray, "h w"], radius_px: float, response: Float32[ndarray, "h w"] | None = None
+    ) -> SaddlePicture:
+        """The picture with its response, which is written into ``response`` if given."""
+        return SaddlePicture(smooth, pictures.saddle_response(smooth, response), radius_px)
 
 
 def find_x_corners(saddles: SaddlePicture, *, most: int = 1200) -> XCorners:
     """X-corners of a smoothed grey picture, read on rings. The ``most`` strongest saddles are tried."""
     response, radius_px = saddles.response, saddles.radius_px
-    size = 2 * max(1, round(0.6 * radius_px)) + 1
     # A saddle of contrast c blurred by about s px has a response of about (c / 2 / s^2 / 3)^2. Corners cover a few
     # hundredths of a picture at most, and peak far above what a tenth of its pixels reach.
     sparse = response[::8, ::8].ravel()
-    tenth = float(np.partition(sparse, int(0.9 * sparse.size))[int(0.9 * sparse.size)])
+    ranks = (int(0.9 * sparse.size), max(0, int(sparse.size * (1 - 40 * most / response.size))))
+    tenth, enough = (float(value) for value in np.partition(sparse, ranks)[list(ranks)])
     least = max((MIN_CONTRAST_DN / (3 * radius_px)) ** 2, 0.5 * tenth)
-    at = _find_peaks(response, size, int(np.ceil(radius_px)) + 1, least)
-    if len(at) == 0:
-        return XCorners(np.zeros((0, 2), np.float32), np.zeros((0, 4)), np.zeros(0))
-    columns, rows = at.T
-    if len(rows) > most:
-        strongest = np.argpartition(response[rows, columns], -most)[-most:]
-        rows, columns = rows[strongest], columns[strongest]
-    points = _interpolate_peaks(response, rows, columns)
+    reach, margin = max(1, round(0.6 * radius_px)), int(np.ceil(radius_px)) + 1
+    # Where noise has more peaks than are wanted, most are skipped by what only so many pixels reach.
+    points = pictures.find_peaks(response, reach, margin, max(least, enough), most)
+    if len(points) < most and enough > least:
+        points = pictures.find_peaks(response, reach, margin, least, most)
     is_corner, rays, contrast = read_rings(saddles.smooth, points, radius_px)
     return XCorners(points[is_corner], rays[is_corner], contrast[is_corner])
-
-
-def _interpolate_peaks(response: ndarray, rows: ndarray, columns: ndarray) -> Float32[ndarray, "n 2"]:
-    """Peaks to a fraction of a pixel, by parabolas through the neighbours in x and in y."""
-
-    def offset(before: ndarray, at: ndarray, after: ndarray) -> ndarray:
-        bend = before - 2 * at + after
-        return np.clip(np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1), 0), -0.5, 0.5)
-
-    at = response[rows, columns]
-    x = columns + offset(response[rows, columns - 1], at, response[rows, columns + 1])
-    y = rows + offset(response[rows - 1, columns], at, response[rows + 1, columns])
-    return np.stack([x, y], axis=-1).astype(np.float32)
 
 
 def localize_saddles(

@@ -40,9 +40,11 @@ constexpr double kFirstRadius = 7;
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
 constexpr int kMaxEvaluations = 25;
-// A step is the last, and its residuals are those that the Jacobian predicts, if it is short, px, or less than this many
-// standard deviations of the parameters together and short enough for the next to be a twentieth of it.
-constexpr double kLastStep = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03;
+constexpr double kLastStep = 0.008;  // px
+// In a large disc, whose many pixels make the cost smooth, a step need not be evaluated to be the last, its residuals being
+// those that the Jacobian predicts, if it is short, px, or below this many standard deviations of the parameters together and
+// so much shorter than the one before that the next would be nothing.
+constexpr double kLastStepUnseen = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03, kLastStepShrinks = 0.25;
 constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened picture's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
@@ -323,7 +325,8 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     auto room = [&](double x, double y) {  // the disc and its soft edge stay inside the picture
         return std::min(std::min(x, width - 1 - x), std::min(y, height - 1 - y)) - 1.9;
     };
-    double greatest = kFirstRadius;  // a small disc until the corner is nearly there, which costs a quarter
+    const bool is_large = 0.85 * input.reach > 1.4 * kFirstRadius;
+    double greatest = is_large ? kFirstRadius : kMaxRadius;  // a small disc until the corner is nearly there costs half or less
     auto region_of = [&](double x, double y, double blur) {
         double radius = std::min({greatest, 0.85 * input.reach, input.reach - 2 * blur});
         double strip = std::max(input.strip - 2 * blur, 1.0);
@@ -349,6 +352,7 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     double cost = evaluate(p, current), damping = 1e-3;
     bool is_done = false, is_linearized_here = true;  // the Jacobian in the workspace is that of p
     int n_evaluations = 1;
+    double last_moved = std::numeric_limits<double>::infinity();
     while (!is_done && n_evaluations < kMaxEvaluations) {
         double A[kParameters][kParameters], L[kParameters][kParameters];
         double gradient[kParameters], step[kParameters], next[kParameters];
@@ -375,10 +379,14 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
         }
         double moved = shrink * std::hypot(step[kX], step[kY]), decrement = 0;
         for (int i = 0; i < kParameters; ++i) decrement += gradient[i] * step[i];
-        bool is_short = moved < kLastStep || (moved < kLastStepAtMost && decrement < kLastStepOfSigma * kLastStepOfSigma * cost);
-        is_short &= std::fabs(step[kBlur1]) < 0.02 || next[kBlur1] == kLeastLogBlur;
-        is_short &= std::fabs(step[kBlur2]) < 0.02 || next[kBlur2] == kLeastLogBlur;
-        if (is_linearized_here && is_short && greatest == kMaxRadius && shrink == 1 && damping < 0.1) {
+        auto blurs_hold = [&](double limit) {
+            return (std::fabs(step[kBlur1]) < limit || next[kBlur1] == kLeastLogBlur) &&
+                   (std::fabs(step[kBlur2]) < limit || next[kBlur2] == kLeastLogBlur);
+        };
+        const bool may_end = greatest == kMaxRadius && shrink == 1 && damping < 0.1;
+        const bool is_short = moved < kLastStepUnseen || (moved < kLastStepAtMost && moved < kLastStepShrinks * last_moved &&
+                                                          decrement < kLastStepOfSigma * kLastStepOfSigma * cost);
+        if (is_large && may_end && is_short && is_linearized_here && blurs_hold(0.01)) {
             for (int i = 0; i < kParameters; ++i) step[i] = next[i] - p[i];
             subtract(work, step);
             std::copy(next, next + kParameters, p);
@@ -392,13 +400,14 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (next_cost <= cost * (1 + 1e-6) || (moved < 0.05 && next_cost < cost * (1 + 3e-3))) {
             is_linearized_here = true;
-            is_done = greatest == kMaxRadius && moved < kLastStep && is_short && shrink == 1 && damping < 0.1;
+            last_moved = moved;
+            is_done = may_end && moved < kLastStep && blurs_hold(is_large ? 0.02 : 0.05);
             std::copy(next, next + kParameters, p);
             current = trial;
             cost = next_cost;
             damping = std::max(damping * 0.1, 1e-6);
             if (!is_done && (moved < 0.3 || n_evaluations > 3)) greatest = kMaxRadius;
-            if (!is_done && n_evaluations < 8) {  // the disc follows the blur that is found, then stays
+            if (!is_done && n_evaluations < (is_large ? 8 : 6)) {  // the disc follows the blur that is found, then stays
                 Region wanted = region_of(p[kX], p[kY], std::exp(std::max(p[kBlur1], p[kBlur2])));
                 if (!(wanted.radius >= kMinRadius)) return failed;
                 if (std::fabs(wanted.radius - region.radius) > 0.3 || std::fabs(wanted.strip - region.strip) > 0.3) {

@@ -42,6 +42,7 @@ void register_accumulate(nb::module_& module);
 void register_poses(nb::module_& module);
 void register_step(nb::module_& module);
 void register_corner_fit(nb::module_& module);
+void register_saddles(nb::module_& module);
 void register_xcorners(nb::module_& module);
 
 }  // namespace binocal

@@ -23,6 +23,27 @@ N_RING = _kernel.N_RING
 _NOTHING = np.empty(0)
 
 
+def saddle_response(
+    smooth: Float32[ndarray, "h w"], out: Float32[ndarray, "h w"] | None = None
+) -> Float32[ndarray, "h w"]:
+    """Minus the determinant of the Hessian: positive at saddles, zero along edges and in the picture's outermost pixels."""
+    response = np.empty(smooth.shape, np.float32) if out is None else out
+    _kernel.saddle_response(np.ascontiguousarray(smooth), response)
+    return response
+
+
+def find_peaks(
+    response: Float32[ndarray, "h w"], reach: int, margin: int, least: float, most: int
+) -> Float[ndarray, "n 2"]:
+    """The ``most`` greatest values that are the greatest within ``reach`` columns and rows, at least ``least``.
+
+    Places are in reading order, ``margin`` pixels from the border, to a fraction of a pixel by parabolas through the
+    neighbours in x and in y.
+    """
+    points = np.empty((most, 2))
+    return points[: _kernel.find_peaks(response, reach, margin, float(least), points)]
+
+
 def sample(image: ndarray, points_px: Float[ndarray, "*n 2"]) -> Float32[ndarray, "*n"]:
     """Bilinear values at points of a uint8 or float32 picture; the border's value beyond it, 0 where a point is NaN."""
     flat = _places(points_px)
