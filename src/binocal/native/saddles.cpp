@@ -11,11 +11,6 @@
 #else
 #define BINOCAL_CLONED
 #endif
-#if defined(_MSC_VER)
-#define BINOCAL_APART __restrict
-#else
-#define BINOCAL_APART __restrict__
-#endif
 
 namespace binocal {
 namespace {
