@@ -33,5 +33,5 @@ def test_scale_reports_time_memory_and_what_the_choice_costs():
 
 def test_unknown_benchmarks_are_named():
     assert {"pipeline", "scale", "solver"} <= set(BENCHMARKS)
-    with pytest.raises(ValueError, match="known: corners, pipeline"):
+    with pytest.raises(ValueError, match="known: corners, detection, pipeline"):
         run("nothing")
