@@ -28,6 +28,7 @@ MIN_SHARE_SEEN = 0.75
 MIN_SHARE_OF_OTHER = 0.85  # of a board of another size, which is only a board if it is nearly whole
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
+MOST_KEPT_PIXELS = 1 << 21  # 1920x1080: at most 100 MB a thread
 _RIVAL_SPACING = (
     0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
 )
@@ -46,17 +47,19 @@ class _Level:
 class _Planes(threading.local):
     """A thread's large arrays, kept from picture to picture: the system takes 3 ms to hand out those of 1280x960.
 
-    What lies in them holds until the thread searches its next picture.
+    What lies in them holds until the thread searches its next picture. Those of larger pictures are not kept.
     """
 
     def __init__(self) -> None:
-        self._kept: dict[tuple[int, int], ndarray] = {}
+        self._kept: dict[tuple[str, int], ndarray] = {}
 
-    def take(self, key: tuple[int, int], shape: tuple[int, ...]) -> Float32[ndarray, "h w"]:
+    def take(self, use: str, index: int, shape: tuple[int, ...]) -> Float32[ndarray, "h w"]:
         """A float32 array of that shape, whatever it holds."""
-        if key not in self._kept or self._kept[key].shape != shape:
-            self._kept[key] = np.empty(shape, np.float32)
-        return self._kept[key]
+        if shape[0] * shape[1] > MOST_KEPT_PIXELS:
+            return np.empty(shape, np.float32)
+        if (use, index) not in self._kept or self._kept[use, index].shape != shape:
+            self._kept[use, index] = np.empty(shape, np.float32)
+        return self._kept[use, index]
 
 
 _planes = _Planes()
@@ -151,7 +154,8 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
         else:
             scaled = pyramid[halved]
         # As float32: rounded to grey levels, a blurred corner's curvature drowns.
-        exact, smooth, response = (_planes.take((index, use), scaled.shape) for use in range(3))
+        exact = _planes.take("exact", halved, scaled.shape)
+        smooth, response = (_planes.take(use, index, scaled.shape) for use in ("smooth", "response"))
         np.copyto(exact, scaled)
         saddles = SaddlePicture.of(cv2.GaussianBlur(exact, (0, 0), sigma, dst=smooth), radius_px, response)
         corners = find_x_corners(saddles, most=most)

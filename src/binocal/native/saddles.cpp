@@ -5,8 +5,8 @@
 #include <cmath>
 #include <limits>
 
-// These loops vectorise by themselves; where the compiler can, they are compiled for AVX2 too.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__)
+// These loops vectorise by themselves; where compiler and C library can choose at start, they are compiled for AVX2 too.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__)
 #define BINOCAL_CLONED __attribute__((target_clones("arch=haswell", "default")))
 #else
 #define BINOCAL_CLONED
