@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +29,11 @@ from binocal.errors import BinocalError, CalibrationError, DataError, OutputExis
 from binocal.formats import native
 from binocal.formats.png import encode_png
 from binocal.geometry import SE3
-from binocal.metrics import image, pose
-from binocal.metrics.held_out import Criterion, criteria_on_exact_views
 from binocal.result import Covariance, RejectedView, StereoCalibration
+
+if TYPE_CHECKING:
+    from binocal.metrics import image, pose
+    from binocal.metrics.held_out import Criterion
 
 Progress = Callable[[str, int, int], None]
 ShouldStop = Callable[[], bool]
@@ -128,11 +131,13 @@ def calibrate_pictures(
         DataError: The pictures cannot be used.
         CalibrationError: No trustworthy rig follows from them.
     """
-    from binocal.calibrators import calibrate
-
     options = options or CalibrateOptions()
     started = time.perf_counter()
-    found = _detect(left, right, board, options.preprocess, progress, should_stop)
+    with ThreadPoolExecutor(1) as aside:
+        # What the solver needs is loaded while the first pictures are, of which one core is enough.
+        loading = aside.submit(_load_calibrator, options.calibrator)
+        found = _detect(left, right, board, options.preprocess, progress, should_stop)
+        calibrate = loading.result()
     detected = time.perf_counter()
     notes, detections, choice = found.notes, found.detections, {}
     with _explained(found.ignored, found.rejected):
@@ -228,6 +233,9 @@ def evaluate_truth(calibration: StereoCalibration, truth: native.Truth, *, seed:
     The bound is that of the views which the calibration used, for the corner noise that it measured. The criteria are measured on
     exact new views of the true rig, drawn from ``seed``.
     """
+    from binocal.metrics import pose
+    from binocal.metrics.held_out import criteria_on_exact_views
+
     rig, notes = calibration.rig, []
     sigma = calibration.covariance.sigma
     if not rig.is_metric:
@@ -353,6 +361,15 @@ def staged_folder(output: str | Path, *, force: bool = False) -> Iterator[Path]:
         shutil.rmtree(aside, ignore_errors=True)
 
 
+def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:
+    """The calibrating function, with the method's own modules in memory."""
+    from binocal.calibrators import CALIBRATORS, calibrate
+
+    if name in CALIBRATORS:
+        CALIBRATORS[name]()
+    return calibrate
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
     """What two sets of pictures gave."""
@@ -399,6 +416,7 @@ def _explained(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedVi
 def _evaluate_detections(
     rig: StereoRig, detections: Detections, side_m: float, found: _Found, notes: list[str]
 ) -> PictureEvaluation:
+    from binocal.metrics import image
     from binocal.metrics.order import order_corners
 
     ordered = order_corners(rig, detections)
@@ -427,6 +445,7 @@ def _bound(
     calibration: StereoCalibration, truth: native.Truth, has_skew: bool, notes: list[str]
 ) -> tuple[StereoRig, Covariance] | None:
     """The true rig in the camera model that was estimated, and the Cramér-Rao bound there; None, with a note, without one."""
+    from binocal.metrics import pose
     from binocal.solvers.covariance import cramer_rao_bound
 
     left = pose.in_model(truth.rig.left, calibration.rig.left.model)

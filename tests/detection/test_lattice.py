@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from binocal.detection.lattice import continues_beyond, find_lattices, link_corners, predict_missing
-from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings, sample
+from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings
 
 
 def smooth_of(image):
@@ -63,13 +63,6 @@ def test_a_hole_is_predicted_from_its_neighbours():
     predicted, spacing = predict_missing(holed)
     assert np.allclose(predicted[1, 2], grid[1, 2]) and spacing[1, 2] == 8.0
     assert np.isfinite(predicted[..., 0]).sum() == 1
-
-
-def test_sampling_is_bilinear_and_handles_many_points():
-    picture = np.add.outer(10.0 * np.arange(20), np.arange(30)).astype(np.float32)
-    points = np.random.default_rng(0).uniform(1, 18, (70_000, 2))
-    assert np.allclose(sample(picture, points), points[:, 0] + 10 * points[:, 1], atol=0.4)  # remap: 1/32 px steps
-    assert sample(picture, np.zeros((0, 2))).shape == (0,)
 
 
 def test_saddles_are_localised_from_two_pixels_away(shoot):

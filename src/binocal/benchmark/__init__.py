@@ -24,6 +24,12 @@ def _corners(**options: Any) -> dict[str, Any]:
     return run_corners_benchmark(**options)
 
 
+def _detection(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.detection import run_detection_benchmark
+
+    return run_detection_benchmark(**options)
+
+
 def _pipeline(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.pipeline import run_pipeline_benchmark
 
@@ -44,6 +50,7 @@ def _scale(**options: Any) -> dict[str, Any]:
 
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "corners": _corners,
+    "detection": _detection,
     "pipeline": _pipeline,
     "precision": _precision,
     "rig": _rig,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,14 +16,19 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices, link_corners
 from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import find_irregular
-from binocal.detection.xcorners import SaddlePicture, XCorners, find_x_corners, localize_saddles, read_rings, sample
+from binocal.detection.xcorners import SaddlePicture, XCorners, find_x_corners, localize_saddles, read_rings
+from binocal.native import pictures
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, UInt8
+    from jaxtyping import Bool, Float, Float32, UInt8
 
-MIN_SHARE_SEEN = 0.85  # of a board whose outline is complete; below it the view is too doubtful to keep
+# Of a board whose outline is complete; below it the view is too doubtful to keep. The border of a shadow across a board of
+# eight columns costs a fifth of the corners.
+MIN_SHARE_SEEN = 0.75
+MIN_SHARE_OF_OTHER = 0.85  # of a board of another size, which is only a board if it is nearly whole
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
+MOST_KEPT_PIXELS = 1 << 21  # 1920x1080: at most 100 MB a thread
 _RIVAL_SPACING = (
     0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
 )
@@ -36,6 +42,27 @@ class _Level:
     corners: XCorners
     scale: float
     lattices: list[Lattice]
+
+
+class _Planes(threading.local):
+    """A thread's large arrays, kept from picture to picture: the system takes 3 ms to hand out those of 1280x960.
+
+    What lies in them holds until the thread searches its next picture. Those of larger pictures are not kept.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[str, int], ndarray] = {}
+
+    def take(self, use: str, index: int, shape: tuple[int, ...]) -> Float32[ndarray, "h w"]:
+        """A float32 array of that shape, whatever it holds."""
+        if shape[0] * shape[1] > MOST_KEPT_PIXELS:
+            return np.empty(shape, np.float32)
+        if (use, index) not in self._kept or self._kept[use, index].shape != shape:
+            self._kept[use, index] = np.empty(shape, np.float32)
+        return self._kept[use, index]
+
+
+_planes = _Planes()
 
 
 def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
@@ -119,7 +146,7 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
     least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
     most = 1200 if size is None else max(400, 4 * size[0] * size[1])
     most_linked = 0
-    for halved, sigma, radius_px, least_linked in _level_settings(halvings):
+    for index, (halved, sigma, radius_px, least_linked) in enumerate(_level_settings(halvings)):
         if most_linked < least_linked:
             continue
         if halved < 0:
@@ -127,7 +154,10 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
         else:
             scaled = pyramid[halved]
         # As float32: rounded to grey levels, a blurred corner's curvature drowns.
-        saddles = SaddlePicture.of(cv2.GaussianBlur(scaled.astype(np.float32), (0, 0), sigma), radius_px)
+        exact = _planes.take("exact", halved, scaled.shape)
+        smooth, response = (_planes.take(use, index, scaled.shape) for use in ("smooth", "response"))
+        np.copyto(exact, scaled)
+        saddles = SaddlePicture.of(cv2.GaussianBlur(exact, (0, 0), sigma, dst=smooth), radius_px, response)
         corners = find_x_corners(saddles, most=most)
         groups = link_corners(saddles, corners)
         most_linked = max([most_linked, *map(len, groups[:1])])
@@ -144,11 +174,12 @@ def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
         return [(0, 1.2, 4.0, 0), (0, 0.8, 2.6, 0), (-1, 1.2, 3.5, 0)]
     middle = [(halved, 1.2, 4.0, 0) for halved in range(halvings - 1, 0, -1)]
     if halvings == 1:
-        return [(1, 0.8, 2.6, 0), (0, 1.2, 4.0, 0), (1, 1.5, 5.0, 4), (0, 1.0, 3.0, 4)]
+        return [(1, 0.8, 2.6, 0), (0, 1.2, 4.0, 0), (0, 1.0, 3.0, 0), (1, 1.5, 5.0, 4)]
     return [
         (halvings, 0.8, 2.6, 0),
         *middle,
-        (1, 0.8, 2.6, 0),
+        (0, 1.0, 3.2, 0),
+        (1, 0.8, 2.6, 7),
         (0, 1.5, 5.0, 7),
         (halvings, 1.5, 5.0, 7),
         (0, 2.0, 4.5, 7),
@@ -160,7 +191,7 @@ def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattic
     boards = [] if main is None else [main]
     for lattice in lattices:
         rows, columns = lattice.points_px.shape[:2]
-        if lattice is main or min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_SEEN * rows * columns:
+        if lattice is main or min(rows, columns) < 3 or lattice.n_seen < MIN_SHARE_OF_OTHER * rows * columns:
             continue
         if boards and (
             lattice.n_seen < 0.4 * boards[0].n_seen
@@ -271,7 +302,7 @@ def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2
     share = np.linspace(0.2, 0.8, 7)
     v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
-    values = sample(smooth, np.nan_to_num(weights @ corners))
+    values = pictures.sample(smooth, weights @ corners)
     rows, columns = values.shape[:2]
     is_whole = np.isfinite(corners[..., 0]).all(axis=2)
     is_bright = ((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)) & is_whole
@@ -299,7 +330,7 @@ def _are_faint(smooth: ndarray, points: Float[ndarray, "n 2"], spacing: Float[nd
     radius = float(np.clip(0.2 * np.median(spacing[seen]), 2.5, 8.0))
     is_corner, _, contrast = read_rings(smooth, points[seen], radius, min_contrast_dn=3.0, max_unlikeness=0.6)
     if is_corner.mean() > 0.5:
-        relative = contrast / (sample(smooth, points[seen]) + 1)
+        relative = contrast / (pictures.sample(smooth, points[seen]) + 1)
         faint[seen] = ~is_corner
         faint[seen] |= (contrast < np.median(contrast[is_corner]) / 3) & (relative < np.median(relative[is_corner]) / 3)
     return faint

@@ -10,14 +10,14 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.datasets.pictures import to_grey
-from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
-from binocal.detection.charuco import Layout, detect_charuco
 from binocal.detection.chessboard import detect_chessboard
-from binocal.detection.circles import detect_circles
 from binocal.detection.found import FoundBoard, not_found
 
 if TYPE_CHECKING:
     from jaxtyping import Float32, UInt8
+
+    from binocal.detection.aprilgrid import TagLayout
+    from binocal.detection.charuco import Layout
 
 MIN_SIDE_PX = 32
 BLANK_DN = 6.0  # of 255 after stretching at most fourfold
@@ -52,10 +52,17 @@ def detect_in_layout(
     stretched, problem = stretch(grey)
     if problem:
         return not_found(board.n_points, problem), None
+    # Each kind of board is loaded when it is first asked for.
     if board.kind == "charuco":
+        from binocal.detection.charuco import detect_charuco
+
         return detect_charuco(grey, stretched, board, layout if isinstance(layout, str) else "")
     if board.kind == "aprilgrid":
+        from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
+
         return detect_aprilgrid(grey, stretched, board, layout if isinstance(layout, TagLayout) else None)
+    from binocal.detection.circles import detect_circles
+
     return detect_circles(grey, stretched, board), None
 
 

@@ -12,11 +12,9 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.datasets.pictures import read_grey_picture
-from binocal.detection.charuco import find_columns
 from binocal.detection.chessboard import find_chessboard_size
 from binocal.detection.detect import detect, stretch, stretch_8_bit
 from binocal.detection.found import FoundBoard
-from binocal.detection.markers import find_markers, to_8_bit
 from binocal.errors import FormatError
 
 MOST_TRIED = 3
@@ -70,6 +68,8 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
             size = f"{trial.columns}x{trial.rows}"
             return f"found a {size} {trial.kind} in {path.name}: did you mean {trial.kind}:{size}?"
     if board.kind == "charuco":
+        from binocal.detection.charuco import find_columns
+
         columns = find_columns(stretch(grey)[0], board)
         if columns and columns != board.columns:
             return f"the markers in {path.name} fit a board {columns} squares wide: count columns and rows again."
@@ -85,6 +85,8 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
 
 def _try_families(path: Path, grey: ndarray, board: Board) -> str:
     """Markers of other families than the board's."""
+    from binocal.detection.markers import find_markers, to_8_bit
+
     stretched, problem = stretch(grey)
     if problem:
         return ""

@@ -6,23 +6,20 @@ which is what tells a wrong SPEC, a second board or a half-hidden one.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
 from binocal.detection.regularity import fit_homography
-from binocal.detection.xcorners import SaddlePicture, XCorners, _wrap, read_rings, sample
+from binocal.detection.xcorners import SaddlePicture, XCorners, _wrap, read_rings
+from binocal.native import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # in the turning sense of the rays: x towards y
 MAX_TURN_RAD = np.radians(25)  # between an edge at a corner and the way to the neighbour; fisheye edges bend up to 15
-N_NEIGHBOURS = 14
 # A row of true corners has an edge between any two of them. Along the board's outer border only every second square
 # differs from the margin, and chance corners of the clutter have no edges at all: 0.7 parts them.
 MIN_BORDER_SHARE = 0.7
@@ -81,9 +78,14 @@ def link_corners(saddles: SaddlePicture, corners: XCorners) -> list[CornerGroup]
     """The corners in connected groups, the largest first."""
     if len(corners) < 2:
         return []
-    neighbour, back_ray = _link(saddles.smooth, corners)
+    neighbour, back_ray = pictures.link_corners(
+        saddles.smooth, corners.points_px, corners.rays_rad, corners.contrast_dn, MAX_TURN_RAD
+    )
     n_ends = (neighbour >= 0).sum(axis=1)
-    groups = [CornerGroup(*group, int(n_ends[group[0]].sum()) // 2) for group in _grow(neighbour, back_ray)]
+    groups = [
+        CornerGroup(*group, int(n_ends[group[0]].sum()) // 2)
+        for group in pictures.grow_groups(corners.points_px, neighbour, back_ray)
+    ]
     return sorted(groups, key=lambda group: -len(group))
 
 
@@ -129,91 +131,6 @@ def find_lattices(
             grid, is_bright_first = _extend(saddles, grid, is_bright_first, size)
         lattices.append(Lattice(grid[..., :2], not is_bright_first, float(np.nanmedian(grid[..., 2]))))
     return sorted((lattice for lattice in lattices if lattice.n_seen >= least), key=lambda lattice: -lattice.n_seen)
-
-
-def _link(smooth: ndarray, corners: XCorners) -> tuple[Int[ndarray, "n 4"], Int[ndarray, "n 4"]]:
-    """For each corner and ray the neighbour along it (-1: none) and which of the neighbour's rays points back.
-
-    Mutual links only.
-    """
-    points = corners.points_px
-    n = len(points)
-    k = min(N_NEIGHBOURS, n - 1)
-    # Brute force in C++; the nearest to each corner is itself.
-    near = cv2.batchDistance(points, points, cv2.CV_32F, K=k + 1, normType=cv2.NORM_L2SQR)[1][:, 1:].astype(int)
-    way = points[near] - points[:, None]
-    length = np.sqrt(way[..., 0] ** 2 + way[..., 1] ** 2)
-    rays = corners.rays_rad.astype(np.float32)
-    x, y = np.cos(rays), np.sin(rays)
-    along = way[..., :1] * x[:, None] + way[..., 1:] * y[:, None]  # (n, k, 4): length times the cosine of the turn
-    along_back = -(way[..., :1] * x[near] + way[..., 1:] * y[near])
-    ray, back = along.argmax(axis=2), along_back.argmax(axis=2)
-    contrast = np.minimum(corners.contrast_dn[:, None], corners.contrast_dn[near])
-    is_link = np.minimum(along.max(axis=2), along_back.max(axis=2)) > np.cos(MAX_TURN_RAD) * length
-    is_link &= (ray % 2) != (back % 2)  # the bright side of an edge is the same seen from both ends
-    is_link &= contrast > 0.15 * np.maximum(corners.contrast_dn[:, None], corners.contrast_dn[near])
-    who, slot = np.nonzero(is_link)
-    sign = np.where(ray[who, slot] % 2 == 0, 1.0, -1.0)
-    is_edge = _follow_edge(smooth, points[who], way[who, slot], length[who, slot], sign, contrast[who, slot])
-    who, slot = who[is_edge], slot[is_edge]
-    neighbour = np.full((n, 4), -1)
-    back_ray = np.full((n, 4), -1)
-    who, slot = who[::-1], slot[::-1]  # slots rise with distance: the nearest is written last
-    neighbour[who, ray[who, slot]] = near[who, slot]
-    back_ray[who, ray[who, slot]] = back[who, slot]
-    has = neighbour >= 0
-    is_mutual = np.zeros_like(has)
-    is_mutual[has] = neighbour[neighbour[has], back_ray[has]] == np.nonzero(has)[0]
-    neighbour[~is_mutual] = -1
-    return neighbour, back_ray
-
-
-def _follow_edge(
-    smooth: ndarray, start: ndarray, way: ndarray, length: ndarray, sign: ndarray, contrast: ndarray
-) -> ndarray:
-    """Where one side of the way is brighter than the other all along it, by at least 0.3 of the corners' contrast."""
-    along = start[:, None] + way[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
-    normal = (
-        np.stack([-way[:, 1], way[:, 0]], axis=-1)[:, None]
-        * np.clip(0.15, 1.5 / np.maximum(length, 1), 0.4)[:, None, None]
-    )
-    step = sample(smooth, along + normal) - sample(smooth, along - normal)
-    return (sign[:, None] * step > 0.3 * contrast[:, None]).all(axis=1)
-
-
-def _grow(neighbour: ndarray, back_ray: ndarray) -> list[tuple[ndarray, ndarray, ndarray]]:
-    """Connected corners with integer cells (column, row) and the turn of their rays.
-
-    A corner whose links disagree is left out.
-    """
-    links, backs = neighbour.tolist(), back_ray.tolist()
-    degree = (neighbour >= 0).sum(axis=1)
-    seen = [False] * len(links)
-    groups = []
-    for seed in np.argsort(-degree, kind="stable").tolist():
-        if seen[seed] or degree[seed] < 2:
-            continue
-        seen[seed] = True
-        cell_of, turn_of, taken = {seed: (0, 0)}, {seed: 0}, {(0, 0)}
-        queue = deque([seed])
-        while queue:
-            corner = queue.popleft()
-            x, y = cell_of[corner]
-            for ray in range(4):
-                other = links[corner][ray]
-                if other < 0 or seen[other]:
-                    continue
-                step = (ray + turn_of[corner]) % 4
-                cell = (x + int(_STEPS[step, 0]), y + int(_STEPS[step, 1]))
-                if cell in taken:
-                    continue
-                seen[other] = True
-                taken.add(cell)
-                cell_of[other], turn_of[other] = cell, (step + 2 - backs[corner][ray]) % 4
-                queue.append(other)
-        members = np.array(list(cell_of))
-        groups.append((members, np.array([cell_of[m] for m in cell_of]), np.array([turn_of[m] for m in cell_of])))
-    return groups
 
 
 def _join(corners: XCorners, group: CornerGroup) -> tuple[Int[ndarray, "k"], Int[ndarray, "k 2"]]:
@@ -315,9 +232,7 @@ def _see_edges(
         is_whole = np.isfinite(start[..., 0]) & np.isfinite(end[..., 0])
         a, b = start[is_whole], end[is_whole]
         way = b[:, :2] - a[:, :2]
-        is_seen = _follow_edge(
-            smooth, a[:, :2], way, np.linalg.norm(way, axis=-1), sign[is_whole], np.minimum(a[:, 2], b[:, 2])
-        )
+        is_seen = pictures.follow_edges(smooth, a[:, :2], way, sign[is_whole], np.minimum(a[:, 2], b[:, 2]))
         edge = np.zeros(is_whole.shape, int)
         edge[is_whole] = np.where(is_seen, 1, -1)
         edges.append(edge)

@@ -12,13 +12,14 @@ if TYPE_CHECKING:
 
 
 def grid_residuals(
-    board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], *, n_rounds: int = 6
+    board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], *, n_rounds: int = 6, tolerance_px: float = 0.3
 ) -> Float[ndarray, "n"]:
     """Distance of each point from a smooth image of the plane, pixels: a homography plus a low polynomial for the lens.
 
     The polynomial's degree follows the number of points, up to 3, so that a wild point cannot bend it to itself; both
-    fits are redescending (Tukey's biweight; the first of the ``n_rounds`` is plain least squares). All infinite where
-    the plane would be folded or seen from behind.
+    fits are redescending (Tukey's biweight; the first of the ``n_rounds`` is plain least squares). What lies within
+    ``tolerance_px`` keeps a weight: a part of the points, shifted a little by a shadow, must not be left to extrapolation.
+    All infinite where the plane would be folded or seen from behind.
     """
     n = len(points_px)
     centre, scale = board_xy.mean(axis=0), np.abs(board_xy - board_xy.mean(axis=0)).max() or 1.0
@@ -42,9 +43,7 @@ def grid_residuals(
         if basis is not None:
             off = off - basis @ np.linalg.lstsq(root * basis, root * off, rcond=None)[0]
         residual = np.linalg.norm(off, axis=1)
-        cut = (
-            4.7 * max(1.4826 * float(np.median(residual)) / 1.1774, 1e-6) + 0.3
-        )  # 0.3 px: what sub-pixel noise may do anyway
+        cut = 4.7 * max(1.4826 * float(np.median(residual)) / 1.1774, 1e-6) + tolerance_px
         weight = np.clip(1 - (residual / cut) ** 2, 0, 1) ** 2 + 1e-9
     return residual
 
@@ -86,4 +85,5 @@ def find_irregular(
     # One plain fit clears most grids: a wild point keeps half of its error in it (leverage below 0.5 from 40 points on).
     if len(points_px) >= 40 and (grid_residuals(board_xy, points_px, n_rounds=1) < 0.5 * limit).all():
         return np.zeros(len(points_px), bool)
-    return ~(grid_residuals(board_xy, points_px) < limit)
+    tolerance_px = max(0.3, 0.5 * float(np.median(limit)))  # 0.3 px: what sub-pixel noise may do anyway
+    return ~(grid_residuals(board_xy, points_px, tolerance_px=tolerance_px) < limit)

@@ -7,27 +7,22 @@ Bennett & Lasenby 2014, ChESS).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, Int, UInt8
+from binocal.native import pictures
 
-N_RING = 32  # samples on a ring: 11 degrees apart, fine enough for sectors of 30 degrees
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32, UInt8
+
 MIN_CONTRAST_DN = 6.0  # of 255; ring contrast below it is noise in every camera tried
 # Opposite samples of a ring agree to 0.35 of its contrast: this admits shading across the ring and a centre that is off
 # by a fifth of the radius.
 MAX_UNLIKENESS = 0.35
-_STRIP_PIXELS = 1 << 16  # four float planes of a strip are 1 MB
-_FOLLOWING = np.roll(np.arange(N_RING), -1)
-_ANGLES = 2 * np.pi * np.arange(N_RING) / N_RING
-_RING = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +34,7 @@ class XCorners:
     minus dark.
     """
 
-    points_px: Float32[ndarray, "n 2"]
+    points_px: Float[ndarray, "n 2"]
     rays_rad: Float[ndarray, "n 4"]
     contrast_dn: Float[ndarray, "n"]
 
@@ -49,91 +44,36 @@ class XCorners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SaddlePicture:
-    """A smoothed picture (0..255, uint8 or float32) with its saddle response, to be read on rings of ``radius_px``."""
+    """A smoothed picture (0..255) with its saddle response, to be read on rings of ``radius_px``."""
 
-    smooth: ndarray
+    smooth: Float32[ndarray, "h w"]
     response: Float32[ndarray, "h w"]
     radius_px: float
 
     @staticmethod
-    def of(smooth: ndarray, radius_px: float) -> SaddlePicture:
-        """The picture with :func:`saddle_response`."""
-        return SaddlePicture(smooth, saddle_response(smooth), radius_px)
-
-
-def saddle_response(smooth: ndarray) -> Float32[ndarray, "h w"]:
-    """Minus the determinant of the Hessian: positive at saddles, zero along edges. ``smooth`` is uint8 or float32."""
-    depth = cv2.CV_16S if smooth.dtype == np.uint8 else cv2.CV_32F
-    height, width = smooth.shape
-    response = np.empty((height, width), np.float32)
-    for start, stop in _strips(height, width):
-        low, high = max(0, start - 1), min(height, stop + 1)
-        strip, inner = smooth[low:high], slice(start - low, stop - low)
-        xx = cv2.Sobel(strip, depth, 2, 0, ksize=3)[inner]
-        yy = cv2.Sobel(strip, depth, 0, 2, ksize=3)[inner]
-        xy = cv2.Sobel(strip, depth, 1, 1, ksize=3)[inner]
-        # ksize-3 kernels sum their smoothing to 4 (second derivatives) and 4 (mixed: 2 x 2), so products carry 16.
-        square = cv2.multiply(xy, xy, scale=1 / 16, dtype=cv2.CV_32F)
-        cv2.subtract(square, cv2.multiply(xx, yy, scale=1 / 16, dtype=cv2.CV_32F), dst=response[start:stop])
-    return response
-
-
-def _strips(height: int, width: int) -> Iterator[tuple[int, int]]:
-    """Rows in strips that the processor's cache holds, which halves the time on large pictures."""
-    rows = max(16, _STRIP_PIXELS // width)
-    return ((start, min(start + rows, height)) for start in range(0, height, rows))
-
-
-def _find_peaks(response: Float32[ndarray, "h w"], size: int, margin: int, least: float) -> Int[ndarray, "n 2"]:
-    """Columns and rows of the response's maxima in windows of ``size``, ``margin`` from the border, above ``least``."""
-    height, width = response.shape
-    kernel = np.ones((size, size), np.uint8)
-    found = []
-    for start, stop in _strips(height, width):
-        low, high = max(0, start - size), min(height, stop + size)
-        highest = cv2.dilate(response[low:high], kernel)[start - low : stop - low]
-        peaks = cv2.compare(response[start:stop], cv2.max(highest, least), cv2.CMP_GE)
-        peaks[:, :margin], peaks[:, -margin:] = 0, 0
-        peaks[: max(0, margin - start)] = 0
-        peaks[max(0, height - margin - start) :] = 0
-        at = cv2.findNonZero(peaks)
-        if at is not None:
-            found.append(at.reshape(-1, 2) + np.array([0, start]))  # (n, 1, 2) before OpenCV 5
-    return np.concatenate(found) if found else np.zeros((0, 2), int)
+    def of(
+        smooth: Float32[ndarray, "h w"], radius_px: float, response: Float32[ndarray, "h w"] | None = None
+    ) -> SaddlePicture:
+        """The picture with its response, which is written into ``response`` if given."""
+        return SaddlePicture(smooth, pictures.saddle_response(smooth, response), radius_px)
 
 
 def find_x_corners(saddles: SaddlePicture, *, most: int = 1200) -> XCorners:
     """X-corners of a smoothed grey picture, read on rings. The ``most`` strongest saddles are tried."""
     response, radius_px = saddles.response, saddles.radius_px
-    size = 2 * max(1, round(0.6 * radius_px)) + 1
     # A saddle of contrast c blurred by about s px has a response of about (c / 2 / s^2 / 3)^2. Corners cover a few
     # hundredths of a picture at most, and peak far above what a tenth of its pixels reach.
     sparse = response[::8, ::8].ravel()
-    tenth = float(np.partition(sparse, int(0.9 * sparse.size))[int(0.9 * sparse.size)])
+    ranks = (int(0.9 * sparse.size), max(0, int(sparse.size * (1 - 40 * most / response.size))))
+    tenth, enough = (float(value) for value in np.partition(sparse, ranks)[list(ranks)])
     least = max((MIN_CONTRAST_DN / (3 * radius_px)) ** 2, 0.5 * tenth)
-    at = _find_peaks(response, size, int(np.ceil(radius_px)) + 1, least)
-    if len(at) == 0:
-        return XCorners(np.zeros((0, 2), np.float32), np.zeros((0, 4)), np.zeros(0))
-    columns, rows = at.T
-    if len(rows) > most:
-        strongest = np.argpartition(response[rows, columns], -most)[-most:]
-        rows, columns = rows[strongest], columns[strongest]
-    points = _interpolate_peaks(response, rows, columns)
+    reach, margin = max(1, round(0.6 * radius_px)), int(np.ceil(radius_px)) + 1
+    # Where noise has more peaks than are wanted, most are skipped by what only so many pixels reach.
+    points = pictures.find_peaks(response, reach, margin, max(least, enough), most)
+    if len(points) < most and enough > least:
+        points = pictures.find_peaks(response, reach, margin, least, most)
     is_corner, rays, contrast = read_rings(saddles.smooth, points, radius_px)
     return XCorners(points[is_corner], rays[is_corner], contrast[is_corner])
-
-
-def _interpolate_peaks(response: ndarray, rows: ndarray, columns: ndarray) -> Float32[ndarray, "n 2"]:
-    """Peaks to a fraction of a pixel, by parabolas through the neighbours in x and in y."""
-
-    def offset(before: ndarray, at: ndarray, after: ndarray) -> ndarray:
-        bend = before - 2 * at + after
-        return np.clip(np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1), 0), -0.5, 0.5)
-
-    at = response[rows, columns]
-    x = columns + offset(response[rows, columns - 1], at, response[rows, columns + 1])
-    y = rows + offset(response[rows - 1, columns], at, response[rows + 1, columns])
-    return np.stack([x, y], axis=-1).astype(np.float32)
 
 
 def localize_saddles(
@@ -149,44 +89,19 @@ def localize_saddles(
     if len(index) == 0:
         return points
     reach = int(np.clip(np.sort(spacing_px[index])[len(index) // 5] / 3, 2, 8))
-    step, fit = _quadratic_fit(reach)
-    size_wh = np.array(picture.shape[::-1])
-    for _ in range(2):
-        centre = np.rint(points[index]).astype(int)
-        is_inside = ((centre >= reach) & (centre < size_wh - reach)).all(axis=1)
-        index, centre = index[is_inside], centre[is_inside]
-        patch = picture[(centre[:, 1, None] + step)[:, :, None], (centre[:, 0, None] + step)[:, None, :]]
-        a, b, c, d, e = fit @ patch.reshape(len(index), -1).astype(np.float32).T
-        determinant = 4 * a * c - b * b
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = np.stack([b * e - 2 * c * d, b * d - 2 * a * e]) / determinant
-        moved = centre + shift.T
-        is_near = (determinant < -1e-6) & (np.abs(moved - points_px[index]) <= reach).all(axis=1)
-        points[index[is_near]] = moved[is_near]
+    fit = _quadratic_fit(reach)
+    points[index] = pictures.localize_saddles(picture, points[index], fit, reach)
     return points
 
 
 @lru_cache(maxsize=16)
-def _quadratic_fit(reach: int) -> tuple[Int[ndarray, "k"], Float32[ndarray, "5 k2"]]:
-    """Steps across a window, and the matrix from its pixels to the coefficients of x^2, xy, y^2, x and y."""
+def _quadratic_fit(reach: int) -> Float[ndarray, "5 k2"]:
+    """The matrix from a window's pixels to the coefficients of x^2, xy, y^2, x and y."""
     step = np.arange(-reach, reach + 1)
     y, x = (axis.ravel().astype(float) for axis in np.meshgrid(step, step, indexing="ij"))
     weight = np.exp(-(x**2 + y**2) / reach**2)
     basis = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1)
-    return step, np.linalg.solve(basis.T @ (weight[:, None] * basis), basis.T * weight)[:5].astype(np.float32)
-
-
-def sample(image: ndarray, points_px: Float[ndarray, "*n 2"]) -> Float32[ndarray, "*n"]:
-    """Bilinear values (float32) at points; the border's value beyond the border. ``image`` is uint8 or float32."""
-    flat = np.ascontiguousarray(points_px, dtype=np.float32).reshape(-1, 1, 2)
-    if not len(flat):
-        return np.zeros(points_px.shape[:-1], np.float32)
-    values = [
-        cv2.remap(image, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for part in np.array_split(flat, len(flat) // 30_000 + 1)
-    ]  # remap is limited to 32767 rows
-    together = values[0] if len(values) == 1 else np.concatenate(values)
-    return together.reshape(points_px.shape[:-1]).astype(np.float32, copy=False)
+    return np.linalg.solve(basis.T @ (weight[:, None] * basis), basis.T * weight)[:5]
 
 
 def read_rings(
@@ -198,36 +113,7 @@ def read_rings(
     max_unlikeness: float = MAX_UNLIKENESS,
 ) -> tuple[Bool[ndarray, "n"], Float[ndarray, "n 4"], Float[ndarray, "n"]]:
     """Which points are X-corners, their edge directions, and their contrast; see :class:`XCorners`."""
-    n = len(points_px)
-    rays = np.zeros((n, 4))
-    if n == 0:
-        return np.zeros(0, bool), rays, np.zeros(0)
-    values = sample(smooth, (points_px[:, None] + radius_px * _RING).astype(np.float32))
-    top, bottom = values.max(axis=1), values.min(axis=1)
-    contrast = top - bottom
-    level = values - (0.5 * (top + bottom))[:, None]
-    is_bright = level > 0
-    is_crossing = is_bright != is_bright[:, _FOLLOWING]
-    half = N_RING // 2
-    unlike = np.abs(values[:, :half] - values[:, half:]).sum(axis=1) * np.float32(1 / half)
-    is_corner = (is_crossing.sum(axis=1) == 4) & (unlike < max_unlikeness * contrast) & (contrast > min_contrast_dn)
-    index = np.nonzero(is_corner)[0]
-    if len(index) == 0:
-        return is_corner, rays, contrast
-    level = level[index]
-    at = np.nonzero(is_crossing[index])[1].reshape(-1, 4)
-    before = np.take_along_axis(level, at, 1).astype(float)
-    after = np.take_along_axis(level, _FOLLOWING[at], 1)
-    angles = (at + before / (before - after)) * (2 * np.pi / N_RING)
-    starts_dark = before[:, 0] < 0
-    angles = np.where(starts_dark[:, None], angles, angles[:, [1, 2, 3, 0]])
-    rays[index] = angles
-    # Each edge runs straight through: 40 degrees admit strong lens distortion, thin sectors and noise.
-    bend = np.abs(_wrap(angles[:, :2] + np.pi - angles[:, 2:]))
-    sectors = np.mod(angles[:, [1, 2, 3, 0]] - angles, 2 * np.pi)
-    is_straight = (bend < np.radians(40)).all(axis=1) & (sectors > np.radians(18)).all(axis=1)
-    is_corner[index[~is_straight]] = False
-    return is_corner, rays, contrast
+    return pictures.read_rings(smooth, points_px, radius_px, min_contrast_dn, max_unlikeness)
 
 
 def _wrap(angle: ndarray) -> ndarray:

@@ -1,4 +1,4 @@
-"""The one door to the compiled kernel: the inner loop of the joint solver, and the fit of corners.
+"""The one door to the compiled kernel: the inner loop of the joint solver; pictures enter by :mod:`binocal.native.pictures`.
 
 Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
 T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
@@ -282,53 +282,6 @@ def _solve(
         *out,
         min(_N_CPUS, 1 + n_rigs * n_views // VIEWS_PER_THREAD),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerFits:
-    """Fits of the corner model, each on its own; NaN where it failed.
-
-    ``light_slope`` is the light's relative slope per pixel. ``joint_covariance`` is that of x, y and the two slopes for
-    pixel noise of one grey level (px, 1/px). ``odd_variance`` is the mean square of what is odd in the residuals about the
-    corner, ``variance`` of all of them, grey levels^2. ``contrast_dn`` is bright minus dark, negative where the picture's
-    sign is. ``blur_px`` are the two edges' Gaussian sigmas, pixel integration included; ``radius_px`` that of the disc.
-    """
-
-    points_px: Float[ndarray, "n 2"]
-    light_slope: Float[ndarray, "n 2"]
-    joint_covariance: Float[ndarray, "n 4 4"]
-    odd_variance: Float[ndarray, "n"]
-    variance: Float[ndarray, "n"]
-    contrast_dn: Float[ndarray, "n"]
-    blur_px: Float[ndarray, "n 2"]
-    edges_rad: Float[ndarray, "n 2"]
-    radius_px: Float[ndarray, "n"]
-    n_evaluations: Float[ndarray, "n"]
-
-
-def fit_corners(
-    grey: ndarray, points_px: Float[ndarray, "n 2"], reach_px: Float[ndarray, "n"], strip_px: Float[ndarray, "n"]
-) -> CornerFits:
-    """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
-
-    ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
-    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``.
-
-    Raises:
-        ValueError: The picture is of another type or shape.
-    """
-    if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16, np.float32):
-        raise ValueError(f"a picture is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
-    inputs = np.ascontiguousarray(np.column_stack([points_px, reach_px, strip_px]), dtype=float)
-    raw = np.empty((len(inputs), _kernel.CORNER_RESULT_SIZE))
-    _kernel.fit_corners(np.ascontiguousarray(grey), inputs, raw)
-    joint = np.empty((len(raw), 4, 4))
-    row, column = np.triu_indices(4)
-    joint[:, row, column] = joint[:, column, row] = raw[:, 4:14]
-    return CornerFits(
-        raw[:, 0:2], raw[:, 2:4], joint, raw[:, 14], raw[:, 15], 2 * raw[:, 16], raw[:, 17:19], raw[:, 19:21],
-        raw[:, 21], raw[:, 23],
-    )  # fmt: skip
 
 
 def _flat(

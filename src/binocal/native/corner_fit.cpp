@@ -1,6 +1,7 @@
 // The corner fit's door: a picture and starts in, corners and what is known of them out.
 #include "corner_fit.hpp"
 
+#include "corner_pool.hpp"
 #include "kernel.hpp"
 
 namespace binocal {
@@ -21,13 +22,25 @@ void fit(const Picture<Pixel>& picture, const Doubles& inputs, DoublesOut result
     fit_corners(image, height, width, inputs.data(), static_cast<std::ptrdiff_t>(n), results.data());
 }
 
+double pool(const Doubles& fits, const Doubles& board_xy, DoublesOut pooled) {
+    const std::size_t n = fits.size() / kResultSize;
+    static_assert(sizeof(PooledCorner) == kPooledSize * sizeof(double));
+    if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n || (board_xy.size() != 0 && board_xy.size() != 2 * n))
+        throw nb::value_error("fits must be (n, 24), board_xy (n, 2) or empty, and results (n, 7)");
+    nb::gil_scoped_release unlocked;
+    return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n, board_xy.size() ? board_xy.data() : nullptr,
+                        reinterpret_cast<PooledCorner*>(pooled.data()));
+}
+
 }  // namespace
 
 void register_corner_fit(nb::module_& module) {
     module.def("fit_corners", &fit<std::uint8_t>);
     module.def("fit_corners", &fit<std::uint16_t>);
     module.def("fit_corners", &fit<float>);
+    module.def("pool_corners", &pool);
     module.attr("CORNER_RESULT_SIZE") = kResultSize;
+    module.attr("POOLED_CORNER_SIZE") = kPooledSize;
 }
 
 }  // namespace binocal

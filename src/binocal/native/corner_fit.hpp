@@ -11,6 +11,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -35,9 +36,15 @@ constexpr int kParameters = 11;
 constexpr int kColumns = kParameters + 1;  // the residual is the last column of the Jacobian
 constexpr int kMaxRadius = 14;             // beyond it lens curvature costs more than the additional edge length gains
 constexpr double kMinRadius = 2.5;
+constexpr double kFirstRadius = 7;
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
 constexpr int kMaxEvaluations = 25;
+constexpr double kLastStep = 0.008;  // px
+// In a large disc, whose many pixels make the cost smooth, a step need not be evaluated to be the last, its residuals being
+// those that the Jacobian predicts, if it is short, px, or below this many standard deviations of the parameters together and
+// so much shorter than the one before that the next would be nothing.
+constexpr double kLastStepUnseen = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03, kLastStepShrinks = 0.25;
 constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened picture's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
@@ -160,32 +167,35 @@ inline void multiply(const Workspace& work, Equations& out) {
     portable::multiply(work, out);
 }
 
-// Solve A x = b for a symmetric positive definite A of size kParameters by Cholesky; false where it is not.
-inline bool solve(const double (&A)[kParameters][kParameters], const double* b, double* x) {
-    double L[kParameters][kParameters];
+// Cholesky factor of a symmetric matrix of size kParameters: lower triangle, the diagonal inverted; false where it is
+// not positive definite.
+inline bool factorize(const double (&A)[kParameters][kParameters], double (&L)[kParameters][kParameters]) {
     for (int i = 0; i < kParameters; ++i) {
         for (int j = 0; j <= i; ++j) {
             double s = A[i][j];
             for (int k = 0; k < j; ++k) s -= L[i][k] * L[j][k];
             if (i == j) {
                 if (!(s > 1e-12 * A[i][i])) return false;
-                L[i][i] = std::sqrt(s);
+                L[i][i] = 1 / std::sqrt(s);
             } else {
-                L[i][j] = s / L[j][j];
+                L[i][j] = s * L[j][j];
             }
         }
     }
+    return true;
+}
+
+inline void solve(const double (&L)[kParameters][kParameters], const double* b, double* x) {
     for (int i = 0; i < kParameters; ++i) {
         double s = b[i];
         for (int k = 0; k < i; ++k) s -= L[i][k] * x[k];
-        x[i] = s / L[i][i];
+        x[i] = s * L[i][i];
     }
     for (int i = kParameters - 1; i >= 0; --i) {
         double s = x[i];
         for (int k = i + 1; k < kParameters; ++k) s -= L[k][i] * x[k];
-        x[i] = s / L[i][i];
+        x[i] = s * L[i][i];
     }
-    return true;
 }
 
 // The information matrix, with weak priors on what small windows cannot tell: the two blurs' difference and the tone.
@@ -208,18 +218,31 @@ inline void information(const Equations& e, const double* p, double noise2, doub
     gradient[kTone] -= tone * p[kTone];
 }
 
+// The residuals after a step, as the Jacobian predicts them.
+inline void subtract(Workspace& work, const double* step) {
+    for (int k = 0; k < kParameters; ++k) {
+        const float size = static_cast<float>(step[k]);
+        for (int i = 0; i < work.patch.n_vectors * kLanes; ++i) work.columns[kParameters][i] -= size * work.columns[k][i];
+    }
+}
+
 // Where edges, levels and contrast begin, read on two rings around the corner; false where there is no saddle.
 template <typename Pixel>
 bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double radius, double* p, double& offset,
            double& contrast) {
     constexpr int n = 32;  // over half a turn: opposite samples are averaged
     constexpr double pi = 3.14159265358979;
+    static const auto circle = [] {
+        std::array<std::array<double, 2>, n> points;
+        for (int k = 0; k < n; ++k) points[k] = {std::cos(pi * k / n), std::sin(pi * k / n)};
+        return points;
+    }();
     double ring[n];
     for (int k = 0; k < n; ++k) {
-        double c = std::cos(pi * k / n), s = std::sin(pi * k / n), sum = 0;
+        double c = circle[k][0], s = circle[k][1], sum = 0;
         for (double r : {0.55 * radius, 0.8 * radius, -0.55 * radius, -0.8 * radius}) {
-            double px = x + r * c, py = y + r * s;
-            int column = static_cast<int>(std::floor(px)), row = static_cast<int>(std::floor(py));
+            double px = x + r * c, py = y + r * s;  // positive: the ring lies inside the picture
+            int column = static_cast<int>(px), row = static_cast<int>(py);
             double a = px - column, b = py - row;
             const Pixel* at = image + row * width + column;
             sum += (1 - b) * ((1 - a) * at[0] + a * at[1]) + b * ((1 - a) * at[width] + a * at[width + 1]);
@@ -236,8 +259,8 @@ bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double 
     double re = 0, im = 0, share = 0;
     for (int k = 0; k < n; ++k) {
         double level = std::min(1.0, std::max(-1.0, (ring[k] - offset) / contrast));
-        re += level * std::cos(2 * pi * k / n);
-        im += level * std::sin(2 * pi * k / n);
+        re += level * (circle[k][0] * circle[k][0] - circle[k][1] * circle[k][1]);  // cosine and sine of twice the angle
+        im += level * 2 * circle[k][0] * circle[k][1];
         share += 0.5 + 0.5 * level;
     }
     // A square wave of half the period has 0.64 n there; a corner that is no saddle far less.
@@ -302,8 +325,10 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     auto room = [&](double x, double y) {  // the disc and its soft edge stay inside the picture
         return std::min(std::min(x, width - 1 - x), std::min(y, height - 1 - y)) - 1.9;
     };
+    const bool is_large = 0.85 * input.reach > 1.4 * kFirstRadius;
+    double greatest = is_large ? kFirstRadius : kMaxRadius;  // a small disc until the corner is nearly there costs half or less
     auto region_of = [&](double x, double y, double blur) {
-        double radius = std::min({static_cast<double>(kMaxRadius), 0.85 * input.reach, input.reach - 2 * blur});
+        double radius = std::min({greatest, 0.85 * input.reach, input.reach - 2 * blur});
         double strip = std::max(input.strip - 2 * blur, 1.0);
         return Region{std::min(std::max(radius, kMinRadius), room(x, y)), strip};
     };
@@ -325,17 +350,20 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     Equations current, trial;
     work.patch.radius = 0;  // holds another corner
     double cost = evaluate(p, current), damping = 1e-3;
-    bool is_done = false;
+    bool is_done = false, is_linearized_here = true;  // the Jacobian in the workspace is that of p
     int n_evaluations = 1;
+    double last_moved = std::numeric_limits<double>::infinity();
     while (!is_done && n_evaluations < kMaxEvaluations) {
-        double A[kParameters][kParameters], gradient[kParameters], step[kParameters], next[kParameters];
+        double A[kParameters][kParameters], L[kParameters][kParameters];
+        double gradient[kParameters], step[kParameters], next[kParameters];
         information(current, p, cost, A, gradient);
         for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping;
-        if (!solve(A, gradient, step)) {
+        if (!factorize(A, L)) {
             damping = std::max(10 * damping, 1e-3);
             if (damping > 1e6) return failed;
             continue;
         }
+        solve(L, gradient, step);
         double shrink = 1;  // one step moves the corner by less than a third of the disc, turns by 0.4 rad, blurs by e^0.7
         shrink = std::min(shrink, std::max(1.0, region.radius / 3) / std::max(1e-9, std::hypot(step[kX], step[kY])));
         for (int i : {kAngle1, kAngle2}) shrink = std::min(shrink, 0.4 / std::max(1e-9, std::fabs(step[i])));
@@ -349,18 +377,37 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
             else
                 return failed;
         }
+        double moved = shrink * std::hypot(step[kX], step[kY]), decrement = 0;
+        for (int i = 0; i < kParameters; ++i) decrement += gradient[i] * step[i];
+        auto blurs_hold = [&](double limit) {
+            return (std::fabs(step[kBlur1]) < limit || next[kBlur1] == kLeastLogBlur) &&
+                   (std::fabs(step[kBlur2]) < limit || next[kBlur2] == kLeastLogBlur);
+        };
+        const bool may_end = greatest == kMaxRadius && shrink == 1 && damping < 0.1;
+        const bool is_short = moved < kLastStepUnseen || (moved < kLastStepAtMost && moved < kLastStepShrinks * last_moved &&
+                                                          decrement < kLastStepOfSigma * kLastStepOfSigma * cost);
+        if (is_large && may_end && is_short && is_linearized_here && blurs_hold(0.01)) {
+            for (int i = 0; i < kParameters; ++i) step[i] = next[i] - p[i];
+            subtract(work, step);
+            std::copy(next, next + kParameters, p);
+            cost = std::max(cost - decrement / current.weight_sum, 0.0);
+            is_done = true;
+            break;
+        }
         double next_cost = evaluate(next, trial);
         ++n_evaluations;
-        double moved = shrink * std::hypot(step[kX], step[kY]);
+        is_linearized_here = false;
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (next_cost <= cost * (1 + 1e-6) || (moved < 0.05 && next_cost < cost * (1 + 3e-3))) {
-            is_done = moved < 0.008 && shrink == 1 && damping < 0.1 && (std::fabs(step[kBlur1]) < 0.05 || next[kBlur1] == kLeastLogBlur) &&
-                      (std::fabs(step[kBlur2]) < 0.05 || next[kBlur2] == kLeastLogBlur);
+            is_linearized_here = true;
+            last_moved = moved;
+            is_done = may_end && moved < kLastStep && blurs_hold(is_large ? 0.02 : 0.05);
             std::copy(next, next + kParameters, p);
             current = trial;
             cost = next_cost;
             damping = std::max(damping * 0.1, 1e-6);
-            if (!is_done && n_evaluations < 6) {  // the disc follows the blur that is found, then stays
+            if (!is_done && (moved < 0.3 || n_evaluations > 3)) greatest = kMaxRadius;
+            if (!is_done && n_evaluations < (is_large ? 8 : 6)) {  // the disc follows the blur that is found, then stays
                 Region wanted = region_of(p[kX], p[kY], std::exp(std::max(p[kBlur1], p[kBlur2])));
                 if (!(wanted.radius >= kMinRadius)) return failed;
                 if (std::fabs(wanted.radius - region.radius) > 0.3 || std::fabs(wanted.strip - region.strip) > 0.3) {
@@ -380,13 +427,14 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     if (!(std::fabs(p[kContrast]) > 0.2) || skew < 0.17 || std::max(blur1, blur2) > region.radius + 0.5)
         return failed;
 
-    double A[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
+    double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
     information(current, p, cost, A, gradient);
+    if (!factorize(A, L)) return failed;
     constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
     for (int i = 0; i < 4; ++i) {
         double unit[kParameters] = {};
         unit[shown[i]] = 1;
-        if (!solve(A, unit, inverse[i])) return failed;
+        solve(L, unit, inverse[i]);
     }
     double unit = contrast * contrast;
     CornerResult r;

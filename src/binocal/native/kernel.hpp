@@ -12,6 +12,13 @@
 #include <thread>
 #include <vector>
 
+// Of pointers: nothing is reached through another one.
+#if defined(_MSC_VER)
+#define BINOCAL_APART __restrict
+#else
+#define BINOCAL_APART __restrict__
+#endif
+
 namespace nb = nanobind;
 
 namespace binocal {
@@ -43,5 +50,8 @@ void register_planes(nb::module_& module);
 void register_poses(nb::module_& module);
 void register_step(nb::module_& module);
 void register_corner_fit(nb::module_& module);
+void register_png(nb::module_& module);
+void register_saddles(nb::module_& module);
+void register_xcorners(nb::module_& module);
 
 }  // namespace binocal

@@ -1,0 +1,260 @@
+// The fits of one picture's corners made one estimate: they share the pixels' noise and the light's slope, which is
+// smooth across a board, and lie on a plane seen through a lens, whose bending of the edges is taken out.
+#pragma once
+
+#include "corner_fit.hpp"
+
+#include <vector>
+
+namespace binocal {
+
+constexpr std::size_t kMinCornersToPool = 12;  // below it a fit of the light's slope to position (3 numbers an axis) gains nothing
+constexpr double kLeastSlopeSpread = 2e-5;     // 1/px; what paper and lens do on a board's scale even in even light
+constexpr double kNoiseSpread = 1.3;           // noise variance over the picture's median that dark and bright pixels, or JPEG, explain
+constexpr double kMaxMisfit = 0.1;             // of the contrast: odd residuals beyond it are an occlusion or a glare, not a corner
+constexpr double kRounding = 1.0 / 12;         // grey levels^2
+
+struct PooledCorner {
+    double x, y;
+    double covariance[4];
+    double misfit;  // variance of the residuals' odd part over the picture's noise: 1 where the model holds
+};
+constexpr std::size_t kPooledSize = 7;
+
+inline double median_of(std::vector<double> values) {
+    if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
+    auto middle = values.begin() + values.size() / 2;
+    std::nth_element(values.begin(), middle, values.end());
+    double upper = *middle;
+    return values.size() % 2 ? upper : 0.5 * (upper + *std::max_element(values.begin(), middle));
+}
+
+// Weighted least squares in up to 15 unknowns by normal equations.
+class LeastSquares {
+  public:
+    explicit LeastSquares(int n) : n_(n) {}
+    void add(const double* row, double weight, double y0, double y1) {
+        for (int i = 0; i < n_; ++i) {
+            for (int j = 0; j <= i; ++j) A_[i][j] += weight * row[i] * row[j];
+            b_[0][i] += weight * row[i] * y0;
+            b_[1][i] += weight * row[i] * y1;
+        }
+    }
+    bool factorize() {
+        for (int i = 0; i < n_; ++i) {
+            for (int j = 0; j <= i; ++j) {
+                double s = A_[i][j];
+                for (int k = 0; k < j; ++k) s -= L_[i][k] * L_[j][k];
+                if (i == j && !(s > 1e-13 * A_[i][i])) return false;
+                L_[i][j] = i == j ? std::sqrt(s) : s / L_[j][j];
+            }
+        }
+        return true;
+    }
+    void solve(int side, double* x) const {
+        forward(b_[side], x);
+        for (int i = n_ - 1; i >= 0; --i) {
+            for (int k = i + 1; k < n_; ++k) x[i] -= L_[k][i] * x[k];
+            x[i] /= L_[i][i];
+        }
+    }
+    // Variance of the fit at a row, for weights that are inverse variances.
+    double variance(const double* row) const {
+        double x[kMost], sum = 0;
+        forward(row, x);
+        for (int i = 0; i < n_; ++i) sum += x[i] * x[i];
+        return sum;
+    }
+
+  private:
+    static constexpr int kMost = 15;
+    void forward(const double* b, double* x) const {
+        for (int i = 0; i < n_; ++i) {
+            x[i] = b[i];
+            for (int k = 0; k < i; ++k) x[i] -= L_[i][k] * x[k];
+            x[i] /= L_[i][i];
+        }
+    }
+    int n_;
+    double A_[kMost][kMost] = {}, L_[kMost][kMost] = {}, b_[2][kMost] = {};
+};
+
+// Positions given what the other corners say about the light's slope (relative, per px).
+//
+// A slope of the light is correlated with the position (at a blur of 3 px it costs the corner a factor 1.4), and is linear
+// in the picture on a board's scale. The conditional mean and covariance of a Gaussian do the rest. The slopes' scatter
+// beyond their own covariance, which shadows and glare raise, widens the prediction.
+inline void share_slope(const CornerResult* fits, std::size_t n, const std::vector<std::size_t>& sound, double noise2,
+                        PooledCorner* out) {
+    if (sound.size() < kMinCornersToPool) return;
+    auto scale_of = [&](const CornerResult& fit) { return noise2 * std::max(1.0, fit.odd_variance / noise2 / kNoiseSpread); };
+    double mean_x = 0, mean_y = 0, square = 0;
+    for (std::size_t i : sound) mean_x += fits[i].x, mean_y += fits[i].y;
+    mean_x /= sound.size(), mean_y /= sound.size();
+    for (std::size_t i : sound) square += std::pow(fits[i].x - mean_x, 2) + std::pow(fits[i].y - mean_y, 2);
+    const double spread_px = std::sqrt(square / sound.size());
+    auto row_of = [&](const CornerResult& fit, double* row) {
+        row[0] = (fit.x - mean_x) / spread_px, row[1] = (fit.y - mean_y) / spread_px, row[2] = 1;
+    };
+    constexpr int of_slope[2] = {7, 9};  // in the packed covariance of x, y, gx, gy
+    double spread2 = kLeastSlopeSpread * kLeastSlopeSpread;
+    std::vector<double> predicted[2], variance[2], scatters(sound.size()), widths(sound.size());
+    for (int axis : {0, 1}) {
+        double row[3], c[3];
+        LeastSquares fit(3);
+        for (int round = 0; round < 3; ++round) {
+            fit = LeastSquares(3);
+            for (std::size_t i : sound) {
+                row_of(fits[i], row);
+                fit.add(row, 1 / (fits[i].covariance[of_slope[axis]] * scale_of(fits[i]) + spread2), axis ? fits[i].gy : fits[i].gx, 0);
+            }
+            if (!fit.factorize()) return;
+            fit.solve(0, c);
+            for (std::size_t k = 0; k < sound.size(); ++k) {
+                const CornerResult& corner = fits[sound[k]];
+                row_of(corner, row);
+                widths[k] = corner.covariance[of_slope[axis]] * scale_of(corner) + spread2;
+                double off = (axis ? corner.gy : corner.gx) - (row[0] * c[0] + row[1] * c[1] + row[2] * c[2]);
+                scatters[k] = std::fabs(off) / std::sqrt(widths[k]);
+            }
+            double scatter = 1.4826 * median_of(scatters);
+            if (scatter < 1.1) break;
+            spread2 += (scatter * scatter - 1) * median_of(widths);
+        }
+        predicted[axis].resize(n), variance[axis].resize(n);
+        for (std::size_t i = 0; i < n; ++i) {
+            row_of(fits[i], row);
+            predicted[axis][i] = row[0] * c[0] + row[1] * c[1] + row[2] * c[2];
+            variance[axis][i] = fit.variance(row);
+        }
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+        const CornerResult& f = fits[i];
+        const double s = scale_of(f), *c = f.covariance;
+        // cov(xy, slope) inverse(cov(slope) + prior), 2 x 2 each
+        double a = c[7] * s + variance[0][i] + spread2, b = c[8] * s, d = c[9] * s + variance[1][i] + spread2;
+        double cross[2][2] = {{c[2] * s, c[3] * s}, {c[5] * s, c[6] * s}};
+        double determinant = a * d - b * b;
+        double off[2] = {predicted[0][i] - f.gx, predicted[1][i] - f.gy};
+        double gain[2][2];
+        for (int k : {0, 1}) {
+            gain[k][0] = (cross[k][0] * d - cross[k][1] * b) / determinant;
+            gain[k][1] = (cross[k][1] * a - cross[k][0] * b) / determinant;
+        }
+        out[i].x += gain[0][0] * off[0] + gain[0][1] * off[1];
+        out[i].y += gain[1][0] * off[0] + gain[1][1] * off[1];
+        for (int k : {0, 1})
+            for (int l : {0, 1}) out[i].covariance[2 * k + l] -= gain[k][0] * cross[l][0] + gain[k][1] * cross[l][1];
+    }
+}
+
+// How far straight edges fitted to bent ones lie from the corner, pixels: up to 0.002 px in an ordinary lens.
+//
+// An edge of curvature k lies k t^2 / 2 from its tangent at t px from the corner; the fit takes the mean over its reach. The
+// curvature along the board's axes follows from a polynomial of the picture in the board's coordinates.
+inline void unbend(const CornerResult* fits, std::size_t n, const double* board_xy, const std::vector<std::size_t>& sound,
+                   PooledCorner* out) {
+    const int degree = sound.size() >= 40 ? 4 : sound.size() >= 24 ? 3 : sound.size() >= 12 ? 2 : 0;
+    if (degree == 0) return;
+    const int n_terms = (degree + 1) * (degree + 2) / 2;
+    double mean_x = 0, mean_y = 0, extent = 1e-300;
+    for (std::size_t i : sound) mean_x += board_xy[2 * i], mean_y += board_xy[2 * i + 1];
+    mean_x /= sound.size(), mean_y /= sound.size();
+    for (std::size_t i : sound)
+        extent = std::max({extent, std::fabs(board_xy[2 * i] - mean_x), std::fabs(board_xy[2 * i + 1] - mean_y)});
+    struct Terms {
+        double value[15], x[15], y[15], xx[15], yy[15];
+    };
+    auto terms_at = [&](std::size_t i, Terms& t) {
+        double X[5] = {1, (board_xy[2 * i] - mean_x) / extent}, Y[5] = {1, (board_xy[2 * i + 1] - mean_y) / extent};
+        for (int k = 2; k <= degree; ++k) X[k] = X[k - 1] * X[1], Y[k] = Y[k - 1] * Y[1];
+        for (int k = 0, m = 0; k <= degree; ++k) {
+            for (int a = 0; a <= k; ++a, ++m) {
+                const int b = k - a;
+                t.value[m] = X[a] * Y[b];
+                t.x[m] = a > 0 ? a * X[a - 1] * Y[b] : 0;
+                t.y[m] = b > 0 ? b * X[a] * Y[b - 1] : 0;
+                t.xx[m] = a > 1 ? a * (a - 1) * X[a - 2] * Y[b] : 0;
+                t.yy[m] = b > 1 ? b * (b - 1) * X[a] * Y[b - 2] : 0;
+            }
+        }
+    };
+    Terms terms;
+    LeastSquares fit(n_terms);
+    for (std::size_t i : sound) {
+        terms_at(i, terms);
+        fit.add(terms.value, 1, out[i].x, out[i].y);
+    }
+    if (!fit.factorize()) return;
+    double c[2][15];
+    for (int side : {0, 1}) fit.solve(side, c[side]);
+    for (std::size_t i = 0; i < n; ++i) {
+        if (!std::isfinite(out[i].x)) continue;
+        terms_at(i, terms);
+        const double blur = 0.5 * (fits[i].blur1 + fits[i].blur2), radius = fits[i].radius;
+        const double mean_t2 = radius * radius / 3 / std::max(1 - 1.13 * blur / radius, 0.3);  // the blurred crossing tells little
+        double normal[2][2], offset[2];
+        for (int axis : {0, 1}) {
+            const double *along = axis ? terms.y : terms.x, *twice = axis ? terms.yy : terms.xx;
+            double tangent[2] = {0, 0}, second[2] = {0, 0};
+            for (int m = 0; m < n_terms; ++m)
+                for (int side : {0, 1}) tangent[side] += along[m] * c[side][m], second[side] += twice[m] * c[side][m];
+            const double length2 = std::max(tangent[0] * tangent[0] + tangent[1] * tangent[1], 1e-12), length = std::sqrt(length2);
+            normal[axis][0] = -tangent[1] / length, normal[axis][1] = tangent[0] / length;
+            offset[axis] = 0.5 * (normal[axis][0] * second[0] + normal[axis][1] * second[1]) / length2 * mean_t2;
+        }
+        const double determinant = normal[0][0] * normal[1][1] - normal[0][1] * normal[1][0];
+        if (!(std::fabs(determinant) > 0.1)) continue;
+        out[i].x -= (normal[1][1] * offset[0] - normal[0][1] * offset[1]) / determinant;
+        out[i].y -= (normal[0][0] * offset[1] - normal[1][0] * offset[0]) / determinant;
+    }
+}
+
+// Adds the covariance of the bias that pixels leave which are coarser than the edge is blurred, px^2.
+//
+// Without blur an edge along the pixels' rows changes one grey value only, and how much the pixel's shape is not a
+// Gaussian's: measured on rendered boards parallel to the rows, .038, .022, .0074, .0028 px at blurs (pixel integration
+// included) of .295, .347, .42, .50. An edge that crosses a row within the disc averages it away.
+inline void add_sampling(const CornerResult& fit, PooledCorner& out) {
+    const double blurs[2] = {fit.blur1, fit.blur2}, angles[2] = {fit.angle1, fit.angle2};
+    for (int k : {0, 1}) {
+        const double slant = std::fabs(std::sin(2 * angles[k])) / 2;  // of the angle to the nearer of the pixels' axes, nearly
+        const double crossed = 1 + std::pow(2 * fit.radius * slant, 2);
+        const double bias = std::min(0.038 * std::exp(-12.5 * (blurs[k] - 0.29)), 0.05) / crossed;
+        const double normal[2] = {-std::sin(angles[k]), std::cos(angles[k])};
+        for (int i : {0, 1})
+            for (int j : {0, 1}) out.covariance[2 * i + j] += bias * bias * normal[i] * normal[j];
+    }
+}
+
+// Pools n fits into n corners, NaN where there is none; `board_xy` may be null. Returns the noise's variance, grey levels^2.
+inline double pool_corners(const CornerResult* fits, std::size_t n, const double* board_xy, PooledCorner* out) {
+    constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+    std::vector<double> odd;
+    for (std::size_t i = 0; i < n; ++i)
+        if (std::isfinite(fits[i].x)) odd.push_back(fits[i].odd_variance);
+    const double noise2 = odd.empty() ? nan : std::max(median_of(odd), kRounding);
+    std::vector<std::size_t> sound;
+    std::vector<bool> is_fitted(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        const CornerResult& fit = fits[i];
+        PooledCorner& corner = out[i];
+        corner.misfit = fit.odd_variance / noise2;
+        const double scale = noise2 * std::max(1.0, corner.misfit / kNoiseSpread);
+        corner.x = fit.x, corner.y = fit.y;
+        corner.covariance[0] = fit.covariance[0] * scale, corner.covariance[3] = fit.covariance[4] * scale;
+        corner.covariance[1] = corner.covariance[2] = fit.covariance[1] * scale;
+        is_fitted[i] = std::isfinite(fit.x) &&
+                       !(std::sqrt(std::max(fit.odd_variance - noise2, 0.0)) > kMaxMisfit * 2 * std::fabs(fit.contrast));
+        if (is_fitted[i] && corner.misfit < 2) sound.push_back(i);
+    }
+    share_slope(fits, n, sound, noise2, out);
+    if (board_xy) unbend(fits, n, board_xy, sound, out);
+    for (std::size_t i = 0; i < n; ++i) {
+        add_sampling(fits[i], out[i]);
+        if (!is_fitted[i]) out[i].x = out[i].y = nan, std::fill_n(out[i].covariance, 4, nan);
+    }
+    return noise2;
+}
+
+}  // namespace binocal

@@ -1,0 +1,258 @@
+"""The compiled kernel's side door for pictures: X-corners, their links and lattices, the corner fit and its pooling.
+
+Pictures are C-contiguous (h, w). Points are (x, y), (0, 0) the centre of the top-left pixel. The kernel holds no lock while
+it works. Tests/native states each function plainly in NumPy and compares.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.native import _kernel
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32, Int
+
+N_RING = _kernel.N_RING
+_NOTHING = np.empty(0)
+
+
+def decode_grey_png(content: bytes) -> ndarray | None:
+    """The picture (h, w), uint8 or uint16, of a PNG file that is plainly grey; None where another decoder must judge.
+
+    Interlaced, transparent or animated pictures, other depths, and whatever is not whole. Checksums are not verified.
+    """
+    if len(content) < 33 or content[12:16] != b"IHDR":
+        return None
+    width, height, depth, *kind = struct.unpack_from(">IIBBBBB", content, 16)
+    n_bytes = width * height * depth // 8
+    # No deflate stream is a thousandth of its content: a header that says so asks for memory only.
+    if depth not in (8, 16) or any(kind) or not 0 < n_bytes < 1032 * len(content):
+        return None
+    picture = np.empty((height, width), np.uint8 if depth == 8 else np.uint16)
+    return picture if _kernel.decode_grey_png(content, picture) else None
+
+
+def saddle_response(
+    smooth: Float32[ndarray, "h w"], out: Float32[ndarray, "h w"] | None = None
+) -> Float32[ndarray, "h w"]:
+    """Minus the determinant of the Hessian: positive at saddles, zero along edges and in the picture's outermost pixels."""
+    response = np.empty(smooth.shape, np.float32) if out is None else out
+    _kernel.saddle_response(np.ascontiguousarray(smooth), response)
+    return response
+
+
+def find_peaks(
+    response: Float32[ndarray, "h w"], reach: int, margin: int, least: float, most: int
+) -> Float[ndarray, "n 2"]:
+    """The ``most`` greatest values that are the greatest within ``reach`` columns and rows, at least ``least``.
+
+    Places are in reading order, ``margin`` pixels from the border, to a fraction of a pixel by parabolas through the
+    neighbours in x and in y.
+    """
+    points = np.empty((most, 2))
+    return points[: _kernel.find_peaks(response, reach, margin, float(least), points)]
+
+
+def sample(image: ndarray, points_px: Float[ndarray, "*n 2"]) -> Float32[ndarray, "*n"]:
+    """Bilinear values at points of a uint8 or float32 picture; the border's value beyond it, 0 where a point is NaN."""
+    flat = _places(points_px)
+    values = np.empty(len(flat), np.float32)
+    _kernel.sample(np.ascontiguousarray(image), flat, values)
+    return values.reshape(points_px.shape[:-1])
+
+
+def read_rings(
+    smooth: ndarray, points_px: Float[ndarray, "n 2"], radius_px: float, min_contrast_dn: float, max_unlikeness: float
+) -> tuple[Bool[ndarray, "n"], Float[ndarray, "n 4"], Float[ndarray, "n"]]:
+    """Which points of a uint8 or float32 picture are X-corners, their edge directions, and the rings' contrasts.
+
+    A ring's values cross its middle level four times, opposite values differ by ``max_unlikeness`` of its contrast at most,
+    both edges run straight through to 40 degrees and no sector is below 18. Directions are radians in rising order, the
+    first with its bright sector after it; 0 where the point is none.
+    """
+    n = len(points_px)
+    is_corner, rays, contrast = np.empty(n, bool), np.empty((n, 4)), np.empty(n)
+    limits = (float(radius_px), float(min_contrast_dn), float(max_unlikeness))
+    _kernel.read_rings(np.ascontiguousarray(smooth), _places(points_px), *limits, is_corner, rays, contrast)
+    return is_corner, rays, contrast
+
+
+def localize_saddles(
+    picture: ndarray, points_px: Float[ndarray, "n 2"], fit: Float[ndarray, "5 k2"], reach: int
+) -> Float[ndarray, "n 2"]:
+    """Points moved, twice, to the saddle of the quadratic that fits the (2 reach + 1)^2 pixels around them.
+
+    ``fit`` takes the pixels to the coefficients of x^2, xy, y^2, x and y. A point stays where there is no saddle, where it
+    would move by more than ``reach`` from its start, and near the border.
+    """
+    points = _places(points_px).copy()
+    _kernel.localize_saddles(np.ascontiguousarray(picture), np.ascontiguousarray(fit, dtype=float), reach, points)
+    return points
+
+
+def follow_edges(
+    smooth: ndarray,
+    start_px: Float[ndarray, "n 2"],
+    way_px: Float[ndarray, "n 2"],
+    sign: Float[ndarray, "n"],
+    contrast_dn: Float[ndarray, "n"],
+) -> Bool[ndarray, "n"]:
+    """Where one side of the way is brighter than the other all along it, by at least 0.3 of the contrast.
+
+    Read at 0.3, 0.5 and 0.7 of the way; ``sign`` is 1 where the side at larger angles is the bright one.
+    """
+    is_seen = np.empty(len(start_px), bool)
+    signs, contrasts = (np.ascontiguousarray(a, dtype=float) for a in (sign, contrast_dn))
+    _kernel.follow_edges(np.ascontiguousarray(smooth), _places(start_px), _places(way_px), signs, contrasts, is_seen)
+    return is_seen
+
+
+def link_corners(
+    smooth: ndarray,
+    points_px: Float[ndarray, "n 2"],
+    rays_rad: Float[ndarray, "n 4"],
+    contrast_dn: Float[ndarray, "n"],
+    max_turn_rad: float,
+) -> tuple[Int[ndarray, "n 4"], Int[ndarray, "n 4"]]:
+    """For each corner and ray the neighbour along it (-1: none) and which of the neighbour's rays points back.
+
+    Among the 14 nearest: along both corners' rays to ``max_turn_rad``, with the bright side the same from both ends,
+    contrasts within a factor of 7, and an edge (:func:`follow_edges`) between. The nearest counts; mutual links only.
+    """
+    neighbour, back_ray = np.empty((len(points_px), 4), np.int64), np.empty((len(points_px), 4), np.int64)
+    rays, contrast = (np.ascontiguousarray(a, dtype=float) for a in (rays_rad, contrast_dn))
+    _kernel.link_corners(
+        np.ascontiguousarray(smooth), _places(points_px), rays, contrast, float(max_turn_rad), neighbour, back_ray
+    )
+    return neighbour, back_ray
+
+
+def grow_groups(
+    points_px: Float[ndarray, "n 2"], neighbour: Int[ndarray, "n 4"], back_ray: Int[ndarray, "n 4"]
+) -> list[tuple[Int[ndarray, "m"], Int[ndarray, "m 2"], Int[ndarray, "m"]]]:
+    """Connected corners: members from the seed outwards, integer cells (column, row), and the turn of their rays.
+
+    Seeds are taken by falling number of links, at least two. A corner whose links disagree is left out, and so is a link
+    that ends more than half a step from where the row behind it, or a row beside it, leads.
+    """
+    n = len(neighbour)
+    members, cells, turns, groups = (np.empty(shape, np.int64) for shape in (n, (n, 2), n, n))
+    count = _kernel.grow_groups(_places(points_px), neighbour, back_ray, members, cells, turns, groups)
+    ends = (np.flatnonzero(np.diff(groups[:count], append=-1)) + 1).tolist()
+    return [(members[a:b], cells[a:b], turns[a:b]) for a, b in pairwise([0, *ends])]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerFits:
+    """Fits of the corner model, each on its own; NaN where it failed. ``raw`` is the kernel's ``CornerResult``."""
+
+    raw: Float[ndarray, "n 24"]
+
+    @property
+    def points_px(self) -> Float[ndarray, "n 2"]:
+        """The corners."""
+        return self.raw[:, 0:2]
+
+    @property
+    def light_slope(self) -> Float[ndarray, "n 2"]:
+        """The light's relative slope per pixel."""
+        return self.raw[:, 2:4]
+
+    @property
+    def joint_covariance(self) -> Float[ndarray, "n 4 4"]:
+        """Covariance of x, y and the two slopes for pixel noise of one grey level (px, 1/px)."""
+        joint = np.empty((len(self.raw), 4, 4))
+        row, column = np.triu_indices(4)
+        joint[:, row, column] = joint[:, column, row] = self.raw[:, 4:14]
+        return joint
+
+    @property
+    def odd_variance(self) -> Float[ndarray, "n"]:
+        """Mean square of what is odd in the residuals about the corner, grey levels^2."""
+        return self.raw[:, 14]
+
+    @property
+    def variance(self) -> Float[ndarray, "n"]:
+        """Mean square of all residuals, grey levels^2."""
+        return self.raw[:, 15]
+
+    @property
+    def contrast_dn(self) -> Float[ndarray, "n"]:
+        """Bright minus dark, negative where the picture's sign is."""
+        return 2 * self.raw[:, 16]
+
+    @property
+    def blur_px(self) -> Float[ndarray, "n 2"]:
+        """The two edges' Gaussian sigmas, pixel integration included."""
+        return self.raw[:, 17:19]
+
+    @property
+    def edges_rad(self) -> Float[ndarray, "n 2"]:
+        """Directions of the two edges."""
+        return self.raw[:, 19:21]
+
+    @property
+    def radius_px(self) -> Float[ndarray, "n"]:
+        """Radius of the disc that was fitted."""
+        return self.raw[:, 21]
+
+    @property
+    def n_evaluations(self) -> Float[ndarray, "n"]:
+        """How often the model was evaluated."""
+        return self.raw[:, 23]
+
+
+def fit_corners(
+    grey: ndarray, points_px: Float[ndarray, "n 2"], reach_px: Float[ndarray, "n"], strip_px: Float[ndarray, "n"]
+) -> CornerFits:
+    """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
+
+    ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
+    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``.
+
+    Raises:
+        ValueError: The picture is of another type or shape.
+    """
+    if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16, np.float32):
+        raise ValueError(f"a picture is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
+    inputs = np.empty((len(points_px), 4))
+    inputs[:, :2], inputs[:, 2], inputs[:, 3] = points_px, reach_px, strip_px
+    raw = np.empty((len(inputs), _kernel.CORNER_RESULT_SIZE))
+    _kernel.fit_corners(np.ascontiguousarray(grey), inputs, raw)
+    return CornerFits(raw)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PooledCorners:
+    """Corners and covariances that share a picture's noise and light, NaN where there is no corner.
+
+    ``misfit`` is the variance of the residuals' odd part over the picture's noise.
+    """
+
+    points_px: Float[ndarray, "n 2"]
+    covariance_px2: Float[ndarray, "n 2 2"]
+    misfit: Float[ndarray, "n"]
+    noise_dn: float
+
+
+def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> PooledCorners:
+    """One estimate from the fits of one picture; see ``corner_pool.hpp``.
+
+    With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
+    """
+    pooled = np.empty((len(fits.raw), _kernel.POOLED_CORNER_SIZE))
+    places = _NOTHING if board_xy is None else np.ascontiguousarray(board_xy, dtype=float)
+    noise2 = _kernel.pool_corners(fits.raw, places, pooled)
+    return PooledCorners(pooled[:, 0:2], pooled[:, 2:6].reshape(-1, 2, 2), pooled[:, 6], math.sqrt(noise2))
+
+
+def _places(points_px: ndarray) -> Float[ndarray, "n 2"]:
+    return np.ascontiguousarray(points_px, dtype=float).reshape(-1, 2)

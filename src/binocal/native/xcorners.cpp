@@ -1,0 +1,382 @@
+// X-corners and their lattices: bilinear reading, rings, saddles, links along edges and connected grids. What each decides
+// and why stands in binocal/detection/xcorners.py and lattice.py; here are only the loops.
+#include "kernel.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+namespace binocal {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+constexpr int kRing = 32;        // samples on a ring: 11 degrees apart, fine enough for sectors of 30 degrees
+constexpr int kNeighbours = 14;  // nearest corners that are tried as partners of a link
+
+template <typename Pixel>
+using Plane = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
+using Places = nb::ndarray<const double, nb::shape<-1, 2>, nb::device::cpu, nb::c_contig>;
+using FlagsOut = nb::ndarray<bool, nb::device::cpu, nb::c_contig>;
+using IndicesIn = nb::ndarray<const std::int64_t, nb::device::cpu, nb::c_contig>;
+using IndicesOut = nb::ndarray<std::int64_t, nb::device::cpu, nb::c_contig>;
+
+void require(bool holds) {
+    if (!holds) throw nb::value_error("the arrays' lengths do not match");
+}
+
+// Bilinear values; the border's value beyond the border, 0 where a coordinate is no number.
+template <typename Pixel>
+struct Sampler {
+    const Pixel* image;
+    std::ptrdiff_t height, width;
+
+    explicit Sampler(const Plane<Pixel>& plane)
+        : image(plane.data()), height(static_cast<std::ptrdiff_t>(plane.shape(0))), width(static_cast<std::ptrdiff_t>(plane.shape(1))) {}
+
+    float operator()(double x, double y) const {
+        if (!(std::isfinite(x) && std::isfinite(y))) return 0.0f;
+        x = std::min(std::max(x, 0.0), static_cast<double>(width - 1));
+        y = std::min(std::max(y, 0.0), static_cast<double>(height - 1));
+        const auto column = static_cast<std::ptrdiff_t>(x), row = static_cast<std::ptrdiff_t>(y);
+        const float a = static_cast<float>(x - column), b = static_cast<float>(y - row);
+        const std::ptrdiff_t right = column + 1 < width, down = row + 1 < height ? width : 0;
+        const Pixel* at = image + row * width + column;
+        const float top = at[0] + a * (static_cast<float>(at[right]) - at[0]);
+        const float bottom = at[down] + a * (static_cast<float>(at[down + right]) - at[down]);
+        return top + b * (bottom - top);
+    }
+};
+
+template <typename Pixel>
+void sample(const Plane<Pixel>& plane, const Places& points, nb::ndarray<float, nb::ndim<1>, nb::device::cpu, nb::c_contig> values) {
+    require(values.size() == points.shape(0));
+    const Sampler<Pixel> read(plane);
+    const double* at = points.data();
+    float* out = values.data();
+    const std::size_t n = values.size();
+    nb::gil_scoped_release unlocked;
+    for (std::size_t i = 0; i < n; ++i) out[i] = read(at[2 * i], at[2 * i + 1]);
+}
+
+double wrapped(double angle) { return angle - 2 * kPi * std::floor((angle + kPi) / (2 * kPi)); }
+
+struct RingLimits {
+    double radius, min_contrast, max_unlikeness;
+};
+
+// Whether the ring around a point shows four crossings, opposite ones alike; the four edges' directions and the contrast.
+template <typename Pixel>
+bool read_ring(const Sampler<Pixel>& read, double x, double y, const RingLimits& limits, double* rays, double& contrast) {
+    static const auto circle = [] {
+        std::array<std::array<double, 2>, kRing> points;
+        for (int k = 0; k < kRing; ++k) points[k] = {std::cos(2 * kPi * k / kRing), std::sin(2 * kPi * k / kRing)};
+        return points;
+    }();
+    float value[kRing];
+    for (int k = 0; k < kRing; ++k) value[k] = read(x + limits.radius * circle[k][0], y + limits.radius * circle[k][1]);
+    const auto [least, most] = std::minmax_element(value, value + kRing);
+    contrast = *most - *least;
+    if (!(contrast > limits.min_contrast)) return false;
+    const float middle = 0.5f * (*most + *least);
+    float unlike = 0;
+    for (int k = 0; k < kRing / 2; ++k) unlike += std::fabs(value[k] - value[k + kRing / 2]);
+    if (!(unlike / (kRing / 2) < limits.max_unlikeness * contrast)) return false;
+    int n_crossings = 0;
+    double angle[4];
+    bool is_first_rising = false;
+    for (int k = 0; k < kRing; ++k) {
+        const float before = value[k] - middle, after = value[(k + 1) % kRing] - middle;
+        if ((before > 0) == (after > 0)) continue;
+        if (n_crossings == 4) return false;
+        if (n_crossings == 0) is_first_rising = after > 0;
+        angle[n_crossings++] = (k + static_cast<double>(before) / (before - after)) * (2 * kPi / kRing);
+    }
+    if (n_crossings != 4) return false;
+    for (int k = 0; k < 4; ++k) rays[k] = angle[is_first_rising ? k : (k + 1) % 4];
+    // Each edge runs straight through: 40 degrees admit strong lens distortion, thin sectors and noise.
+    constexpr double most_bend = 40 * kPi / 180, least_sector = 18 * kPi / 180;
+    for (int k = 0; k < 2; ++k)
+        if (!(std::fabs(wrapped(rays[k] + kPi - rays[k + 2])) < most_bend)) return false;
+    for (int k = 0; k < 4; ++k) {
+        double sector = std::fmod(rays[(k + 1) % 4] - rays[k] + 4 * kPi, 2 * kPi);
+        if (!(sector > least_sector)) return false;
+    }
+    return true;
+}
+
+template <typename Pixel>
+void read_rings(const Plane<Pixel>& plane, const Places& points, double radius, double min_contrast, double max_unlikeness,
+                FlagsOut is_corner, DoublesOut rays, DoublesOut contrast) {
+    const std::size_t n = points.shape(0);
+    require(is_corner.size() == n && rays.size() == 4 * n && contrast.size() == n);
+    const Sampler<Pixel> read(plane);
+    const RingLimits limits{radius, min_contrast, max_unlikeness};
+    const double* at = points.data();
+    bool* flag = is_corner.data();
+    double *ray = rays.data(), *span = contrast.data();
+    nb::gil_scoped_release unlocked;
+    std::fill_n(ray, 4 * n, 0.0);
+    for (std::size_t i = 0; i < n; ++i) flag[i] = read_ring(read, at[2 * i], at[2 * i + 1], limits, ray + 4 * i, span[i]);
+}
+
+// Moves points to the saddle of the quadratic that the rows of `fit` (x^2, xy, y^2, x, y) find in the window around them.
+template <typename Pixel>
+void localize_saddles(const Plane<Pixel>& plane, const Doubles& fit, std::ptrdiff_t reach, DoublesOut points) {
+    const std::ptrdiff_t side = 2 * reach + 1, area = side * side;
+    require(fit.size() == static_cast<std::size_t>(5 * area) && points.size() % 2 == 0);
+    const auto height = static_cast<std::ptrdiff_t>(plane.shape(0)), width = static_cast<std::ptrdiff_t>(plane.shape(1));
+    const Pixel* image = plane.data();
+    const double* weights = fit.data();
+    double* point = points.data();
+    const std::size_t n = points.size() / 2;
+    nb::gil_scoped_release unlocked;
+    for (std::size_t i = 0; i < n; ++i, point += 2) {
+        const double start[2] = {point[0], point[1]};
+        if (!(std::isfinite(start[0]) && std::isfinite(start[1]))) continue;
+        for (int round = 0; round < 2; ++round) {
+            const double centre[2] = {std::nearbyint(point[0]), std::nearbyint(point[1])};
+            if (!(centre[0] >= reach && centre[0] < width - reach && centre[1] >= reach && centre[1] < height - reach)) break;
+            const Pixel* corner = image + (static_cast<std::ptrdiff_t>(centre[1]) - reach) * width + static_cast<std::ptrdiff_t>(centre[0]) - reach;
+            double c[5] = {};
+            for (std::ptrdiff_t row = 0; row < side; ++row)
+                for (std::ptrdiff_t column = 0; column < side; ++column)
+                    for (int k = 0; k < 5; ++k) c[k] += weights[k * area + row * side + column] * corner[row * width + column];
+            const double determinant = 4 * c[0] * c[2] - c[1] * c[1];
+            if (!(determinant < -1e-6)) continue;
+            const double x = centre[0] + (c[1] * c[4] - 2 * c[2] * c[3]) / determinant;
+            const double y = centre[1] + (c[1] * c[3] - 2 * c[0] * c[4]) / determinant;
+            if (std::fabs(x - start[0]) <= reach && std::fabs(y - start[1]) <= reach) point[0] = x, point[1] = y;
+        }
+    }
+}
+
+// Whether one side of the way from (x, y) is brighter than the other all along it, by 0.3 of the contrast.
+template <typename Pixel>
+bool is_edge(const Sampler<Pixel>& read, double x, double y, double way_x, double way_y, double sign, double contrast) {
+    const double length = std::hypot(way_x, way_y), aside = std::min(std::max(0.15, 1.5 / std::max(length, 1.0)), 0.4);
+    for (double share : {0.3, 0.5, 0.7}) {
+        const double at_x = x + share * way_x, at_y = y + share * way_y;
+        const float step = read(at_x - aside * way_y, at_y + aside * way_x) - read(at_x + aside * way_y, at_y - aside * way_x);
+        if (!(sign * step > 0.3 * contrast)) return false;
+    }
+    return true;
+}
+
+template <typename Pixel>
+void follow_edges(const Plane<Pixel>& plane, const Places& start, const Places& way, const Doubles& sign, const Doubles& contrast,
+                  FlagsOut is_seen) {
+    const std::size_t n = start.shape(0);
+    require(way.shape(0) == n && sign.size() == n && contrast.size() == n && is_seen.size() == n);
+    const Sampler<Pixel> read(plane);
+    const double *from = start.data(), *to = way.data(), *s = sign.data(), *c = contrast.data();
+    bool* out = is_seen.data();
+    nb::gil_scoped_release unlocked;
+    for (std::size_t i = 0; i < n; ++i) out[i] = is_edge(read, from[2 * i], from[2 * i + 1], to[2 * i], to[2 * i + 1], s[i], c[i]);
+}
+
+// The nearest points to each point, nearest first, -1 where there are no more.
+std::vector<std::array<int, kNeighbours>> find_nearest(const double* points, int n) {
+    std::vector<int> order(n);
+    std::iota(order.begin(), order.end(), 0);
+    std::sort(order.begin(), order.end(), [&](int a, int b) { return points[2 * a + 1] < points[2 * b + 1]; });
+    std::vector<std::array<int, kNeighbours>> nearest(n);
+    for (int place = 0; place < n; ++place) {
+        const int self = order[place];
+        const double x = points[2 * self], y = points[2 * self + 1];
+        double distance[kNeighbours];
+        std::fill_n(distance, kNeighbours, std::numeric_limits<double>::infinity());
+        auto& near = nearest[self];
+        near.fill(-1);
+        int up = place - 1, down = place + 1;
+        while (up >= 0 || down < n) {
+            const double above = up >= 0 ? y - points[2 * order[up] + 1] : std::numeric_limits<double>::infinity();
+            const double below = down < n ? points[2 * order[down] + 1] - y : std::numeric_limits<double>::infinity();
+            if (std::pow(std::min(above, below), 2) > distance[kNeighbours - 1]) break;
+            const int other = above < below ? order[up--] : order[down++];
+            const double dx = points[2 * other] - x, dy = points[2 * other + 1] - y, d = dx * dx + dy * dy;
+            if (!(d < distance[kNeighbours - 1])) continue;
+            int k = kNeighbours - 1;
+            for (; k > 0 && distance[k - 1] > d; --k) distance[k] = distance[k - 1], near[k] = near[k - 1];
+            distance[k] = d, near[k] = other;
+        }
+    }
+    return nearest;
+}
+
+struct Corners {
+    const double *points, *rays, *contrast;
+    std::vector<std::array<double, 8>> directions;  // cosine and sine of each ray
+    int n;
+};
+
+// The ray nearest to a way of that length, and the cosine of the turn to it.
+int nearest_ray(const std::array<double, 8>& direction, double x, double y, double length, double& cosine) {
+    int best = 0;
+    double most = -2 * length;
+    for (int k = 0; k < 4; ++k) {
+        const double along = direction[2 * k] * x + direction[2 * k + 1] * y;
+        if (along > most) most = along, best = k;
+    }
+    cosine = most / std::max(length, 1e-12);
+    return best;
+}
+
+// For each corner and ray the nearest neighbour along it that an edge leads to, and which of its rays points back.
+template <typename Pixel>
+void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, std::int64_t* neighbour, std::int64_t* back_ray) {
+    const auto nearest = find_nearest(corners.points, corners.n);
+    const double least_cosine = std::cos(max_turn);
+    std::fill_n(neighbour, 4 * corners.n, -1);
+    std::fill_n(back_ray, 4 * corners.n, -1);
+    for (int i = 0; i < corners.n; ++i) {
+        const double *at = corners.points + 2 * i, contrast = corners.contrast[i];
+        for (int other : nearest[i]) {
+            if (other < 0) break;
+            const double x = corners.points[2 * other] - at[0], y = corners.points[2 * other + 1] - at[1], length = std::hypot(x, y);
+            double cosine, cosine_back;
+            const int ray = nearest_ray(corners.directions[i], x, y, length, cosine);
+            if (neighbour[4 * i + ray] >= 0) continue;
+            const int back = nearest_ray(corners.directions[other], -x, -y, length, cosine_back);
+            // The bright side of an edge is the same seen from both ends.
+            if (!(std::min(cosine, cosine_back) > least_cosine) || ray % 2 == back % 2) continue;
+            const double weaker = std::min(contrast, corners.contrast[other]);
+            if (!(weaker > 0.15 * std::max(contrast, corners.contrast[other]))) continue;
+            if (!is_edge(read, at[0], at[1], x, y, ray % 2 ? -1.0 : 1.0, weaker)) continue;
+            neighbour[4 * i + ray] = other;
+            back_ray[4 * i + ray] = back;
+        }
+    }
+    std::vector<std::int64_t> all(neighbour, neighbour + 4 * corners.n);
+    for (std::int64_t i = 0; i < corners.n; ++i)  // mutual links only
+        for (int ray = 0; ray < 4; ++ray)
+            if (all[4 * i + ray] >= 0 && all[4 * all[4 * i + ray] + back_ray[4 * i + ray]] != i) neighbour[4 * i + ray] = -1;
+}
+
+// A group's corners by their cells.
+class Cells {
+  public:
+    using Cell = std::array<std::int64_t, 2>;
+    void clear() { entries_.clear(); }
+    void put(Cell cell, std::int64_t corner) { entries_.insert(position(cell), {cell, corner}); }
+    std::int64_t at(Cell cell) const {
+        const auto found = position(cell);
+        return found != entries_.end() && found->first == cell ? found->second : -1;
+    }
+
+  private:
+    using Entry = std::pair<Cell, std::int64_t>;
+    std::vector<Entry>::const_iterator position(const Cell& cell) const {
+        return std::lower_bound(entries_.begin(), entries_.end(), cell, [](const Entry& entry, const Cell& c) { return entry.first < c; });
+    }
+    std::vector<Entry> entries_;  // sorted by cell
+};
+
+constexpr int kStep[4][2] = {{1, 0}, {0, 1}, {-1, 0}, {0, -1}};  // in the turning sense of the rays: x towards y
+
+// Whether a corner lies where the row behind it and the rows beside it lead, to half a step. The border of a shadow looks like
+// an edge and would lead to the corner diagonally ahead.
+bool is_ahead(const double* points, const Cells& cells, const Cells::Cell& from, std::int64_t way, std::int64_t other) {
+    const std::int64_t corner = cells.at(from);
+    const double *p = points + 2 * corner, *q = points + 2 * other;
+    auto agrees = [&](std::int64_t behind, std::int64_t ahead) {  // the step from behind to ahead is the step to be made
+        if (behind < 0 || ahead < 0) return true;
+        const double x = points[2 * ahead] - points[2 * behind], y = points[2 * ahead + 1] - points[2 * behind + 1];
+        return std::hypot(q[0] - p[0] - x, q[1] - p[1] - y) <= 0.5 * std::hypot(x, y);
+    };
+    const std::int64_t dx = kStep[way][0], dy = kStep[way][1];
+    return agrees(cells.at({from[0] - dx, from[1] - dy}), corner) &&
+           agrees(cells.at({from[0] - dy, from[1] + dx}), cells.at({from[0] + dx - dy, from[1] + dy + dx})) &&
+           agrees(cells.at({from[0] + dy, from[1] - dx}), cells.at({from[0] + dx + dy, from[1] + dy - dx}));
+}
+
+// Connected corners with integer cells (column, row) and the turn of their rays, seed first, group after group. A corner
+// whose links disagree is left out. Returns how many entries of members, cells, turns and groups were written.
+std::size_t grow(const double* points, const std::int64_t* neighbour, const std::int64_t* back_ray, int n, std::int64_t* members,
+                 std::int64_t* cells, std::int64_t* turns, std::int64_t* groups) {
+    std::vector<int> degree(n), order(n);
+    for (int i = 0; i < n; ++i) degree[i] = static_cast<int>(std::count_if(neighbour + 4 * i, neighbour + 4 * i + 4, [](auto o) { return o >= 0; }));
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return degree[a] > degree[b]; });
+    std::vector<char> seen(n, 0);
+    Cells taken;
+    std::size_t count = 0;
+    std::int64_t group = 0;
+    for (int seed : order) {
+        if (seen[seed] || degree[seed] < 2) continue;
+        taken.clear();
+        auto place = [&](std::int64_t corner, const Cells::Cell& cell, std::int64_t turn) {
+            seen[corner] = 1;
+            taken.put(cell, corner);
+            members[count] = corner, cells[2 * count] = cell[0], cells[2 * count + 1] = cell[1], turns[count] = turn, groups[count] = group;
+            ++count;
+        };
+        std::size_t next = count;
+        place(seed, {0, 0}, 0);
+        for (; next < count; ++next) {
+            const std::int64_t corner = members[next];
+            const Cells::Cell from{cells[2 * next], cells[2 * next + 1]};
+            for (int ray = 0; ray < 4; ++ray) {
+                const std::int64_t other = neighbour[4 * corner + ray], way = (ray + turns[next]) % 4;
+                if (other < 0 || seen[other]) continue;
+                const Cells::Cell cell{from[0] + kStep[way][0], from[1] + kStep[way][1]};
+                if (taken.at(cell) >= 0 || !is_ahead(points, taken, from, way, other)) continue;
+                place(other, cell, (way + 6 - back_ray[4 * corner + ray]) % 4);
+            }
+        }
+        ++group;
+    }
+    return count;
+}
+
+template <typename Pixel>
+void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles& rays, const Doubles& contrast, double max_turn,
+                  IndicesOut neighbour, IndicesOut back_ray) {
+    const std::size_t n = points.shape(0);
+    require(rays.size() == 4 * n && contrast.size() == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n);
+    Corners corners{points.data(), rays.data(), contrast.data(), {}, static_cast<int>(n)};
+    const Sampler<Pixel> read(plane);
+    std::int64_t *to = neighbour.data(), *back = back_ray.data();
+    nb::gil_scoped_release unlocked;
+    corners.directions.resize(n);
+    for (std::size_t i = 0; i < n; ++i)
+        for (int k = 0; k < 4; ++k) {
+            corners.directions[i][2 * k] = std::cos(corners.rays[4 * i + k]);
+            corners.directions[i][2 * k + 1] = std::sin(corners.rays[4 * i + k]);
+        }
+    link(read, corners, max_turn, to, back);
+}
+
+std::size_t grow_groups(const Places& points, const IndicesIn& neighbour, const IndicesIn& back_ray, IndicesOut members, IndicesOut cells, IndicesOut turns,
+                        IndicesOut groups) {
+    const std::size_t n = members.size();
+    require(points.shape(0) == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n && cells.size() == 2 * n && turns.size() == n && groups.size() == n);
+    const std::int64_t *to = neighbour.data(), *back = back_ray.data();
+    for (std::size_t i = 0; i < 4 * n; ++i)
+        require(to[i] < static_cast<std::int64_t>(n) && (to[i] < 0 || (back[i] >= 0 && back[i] < 4)));
+    std::int64_t *m = members.data(), *c = cells.data(), *t = turns.data(), *g = groups.data();
+    const double* at = points.data();
+    nb::gil_scoped_release unlocked;
+    return grow(at, to, back, static_cast<int>(n), m, c, t, g);
+}
+
+template <typename Pixel>
+void register_for(nb::module_& module) {
+    module.def("sample", &sample<Pixel>);
+    module.def("read_rings", &read_rings<Pixel>);
+    module.def("localize_saddles", &localize_saddles<Pixel>);
+    module.def("follow_edges", &follow_edges<Pixel>);
+    module.def("link_corners", &link_corners<Pixel>);
+}
+
+}  // namespace
+
+void register_xcorners(nb::module_& module) {
+    register_for<std::uint8_t>(module);
+    register_for<float>(module);
+    module.def("grow_groups", &grow_groups);
+    module.attr("N_RING") = kRing;
+}
+
+}  // namespace binocal

@@ -1,0 +1,99 @@
+"""How the fits of one picture become one estimate, stated plainly in NumPy (``corner_pool.hpp`` has the reasons)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+MIN_CORNERS_TO_POOL, LEAST_SLOPE_SPREAD, NOISE_SPREAD, MAX_MISFIT = 12, 2e-5, 1.3, 0.1
+
+
+def pool(fits, board_xy):
+    """Points, covariances, misfits and noise."""
+    is_fitted = np.isfinite(fits.points_px[:, 0])
+    noise2 = max(float(np.median(fits.odd_variance[is_fitted])), 1 / 12) if is_fitted.any() else np.nan
+    misfit = fits.odd_variance / noise2
+    is_fitted &= ~(np.sqrt(np.maximum(fits.odd_variance - noise2, 0)) > MAX_MISFIT * np.abs(fits.contrast_dn))
+    joint = fits.joint_covariance * (noise2 * np.maximum(1, misfit / NOISE_SPREAD))[:, None, None]
+    points, covariance = share_slope(fits.points_px, fits.light_slope, joint, is_fitted & (misfit < 2))
+    if board_xy is not None:
+        points -= bending_shift(board_xy, points, fits, is_fitted & (misfit < 2))
+    covariance += sampling_covariance(fits)
+    points[~is_fitted] = np.nan
+    covariance[~is_fitted] = np.nan
+    return points, covariance, misfit, np.sqrt(noise2)
+
+
+def bending_shift(board_xy, points, fits, is_sound):
+    """How far straight edges fitted to bent ones lie from the corner, pixels."""
+    n = int(is_sound.sum())
+    degree = 4 if n >= 40 else 3 if n >= 24 else 2 if n >= 12 else 0
+    if not degree:
+        return np.zeros_like(points)
+    xy = (board_xy - board_xy[is_sound].mean(axis=0)) / np.abs(board_xy - board_xy[is_sound].mean(axis=0))[
+        is_sound
+    ].max()
+    powers = [(i, k - i) for k in range(degree + 1) for i in range(k + 1)]
+
+    def basis(dx, dy):
+        """Derivatives of the polynomial's terms, ``dx`` times along x and ``dy`` times along y."""
+        columns = []
+        for i, j in powers:
+            factor = np.prod([i - k for k in range(dx)]) * np.prod([j - k for k in range(dy)])
+            columns.append(factor * xy[:, 0] ** max(i - dx, 0) * xy[:, 1] ** max(j - dy, 0))
+        return np.stack(columns, axis=-1)
+
+    coefficients = np.linalg.lstsq(basis(0, 0)[is_sound], points[is_sound], rcond=None)[0]
+    blur = fits.blur_px.mean(axis=1)
+    mean_t2 = fits.radius_px**2 / 3 / np.maximum(1 - 1.13 * blur / fits.radius_px, 0.3)
+    normals, offsets = [], []
+    for along, twice in (((1, 0), (2, 0)), ((0, 1), (0, 2))):
+        tangent, second = basis(*along) @ coefficients, basis(*twice) @ coefficients
+        length2 = np.maximum((tangent**2).sum(axis=1), 1e-12)
+        normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1) / np.sqrt(length2)[:, None]
+        normals.append(normal)
+        offsets.append(0.5 * (normal * second).sum(axis=1) / length2 * mean_t2)
+    (a, b), (c, d) = (normals[0].T, normals[1].T)
+    determinant = a * d - b * c
+    determinant = np.where(np.abs(determinant) > 0.1, determinant, np.nan)
+    shift = np.stack([d * offsets[0] - b * offsets[1], a * offsets[1] - c * offsets[0]], axis=-1) / determinant[:, None]
+    return np.nan_to_num(shift)
+
+
+def sampling_covariance(fits):
+    """Covariance of the bias that pixels leave which are coarser than the edge is blurred, px^2."""
+    slant = np.abs(np.sin(2 * fits.edges_rad)) / 2  # of the angle to the nearer of the pixels' axes, nearly
+    crossed = 1 + (2 * fits.radius_px[:, None] * slant) ** 2
+    bias = np.minimum(0.038 * np.exp(-12.5 * (fits.blur_px - 0.29)), 0.05) / crossed
+    normals = np.stack([-np.sin(fits.edges_rad), np.cos(fits.edges_rad)], axis=-1)
+    return np.einsum("nk,nki,nkj->nij", bias**2, normals, normals)
+
+
+def share_slope(points, slope, joint, is_sound):
+    """Positions given what the other corners say about the light's slope (relative, per px)."""
+    points, covariance = points.copy(), joint[:, :2, :2].copy()
+    if is_sound.sum() < MIN_CORNERS_TO_POOL:
+        return points, covariance
+    basis = np.column_stack([points - np.mean(points[is_sound], axis=0), np.ones(len(points))])
+    basis[:, :2] /= np.std(points[is_sound])
+    spread2 = LEAST_SLOPE_SPREAD**2
+    predicted, of_prediction = slope.copy(), np.zeros_like(slope)
+    for axis in (0, 1):
+        own = joint[is_sound, 2 + axis, 2 + axis]
+        X, y = basis[is_sound], slope[is_sound, axis]
+        for _ in range(3):
+            w = 1 / (own + spread2)
+            inverse = np.linalg.inv(X.T @ (w[:, None] * X))
+            coefficients = inverse @ (X.T @ (w * y))
+            scatter = 1.4826 * np.median(np.abs(y - X @ coefficients) * np.sqrt(w))
+            if scatter < 1.1:
+                break
+            spread2 = (scatter**2 - 1) * float(np.median(own + spread2)) + spread2
+        predicted[:, axis] = basis @ coefficients
+        of_prediction[:, axis] = np.einsum("ni,ij,nj->n", basis, inverse, basis)
+    ok = np.isfinite(points[:, 0])
+    prior = np.zeros((len(points), 2, 2))
+    prior[:, [0, 1], [0, 1]] = of_prediction + spread2
+    gain = joint[ok, :2, 2:] @ np.linalg.inv(joint[ok, 2:, 2:] + prior[ok])
+    points[ok] += np.einsum("nij,nj->ni", gain, predicted[ok] - slope[ok])
+    covariance[ok] -= gain @ joint[ok, 2:, :2]
+    return points, covariance

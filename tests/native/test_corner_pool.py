@@ -1,0 +1,51 @@
+"""The compiled pooling of corner fits against its plain statement."""
+
+import numpy as np
+import plain_corner_pool as plain
+import pytest
+
+from binocal.native.pictures import CornerFits, pool_corners
+
+
+def make_fits(columns, rows, seed=0):
+    """Fits as a bent board under a slope of light would give, with one covered, one dull and one failed corner."""
+    rng = np.random.default_rng(seed)
+    n = columns * rows
+    xy = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) * 0.02
+    flat = xy / 0.02 - [columns / 2, rows / 2]
+    points = 300 + flat @ [[41.0, 3.0], [-6.0, 33.0]] * (1 + 4e-4 * (flat**2).sum(axis=1, keepdims=True))
+    raw = np.zeros((n, 24))
+    raw[:, 0:2] = points + 0.01 * rng.standard_normal((n, 2))
+    raw[:, 2:4] = 1e-6 * (points - 300) + 3e-4 + 2e-4 * rng.standard_normal((n, 2))
+    factor = rng.standard_normal((n, 4, 6)) * np.array([3e-3, 3e-3, 1e-4, 1e-4])[:, None]
+    row, column = np.triu_indices(4)
+    raw[:, 4:14] = (factor @ factor.transpose(0, 2, 1))[:, row, column]
+    raw[:, 14] = rng.uniform(5, 14, n)
+    raw[:, 16] = rng.choice([-1, 1], n) * rng.uniform(40, 80, n)
+    raw[:, 17:19] = rng.uniform(0.26, 1.5, (n, 2))
+    raw[:, 19:21] = np.array([0.07, 1.75]) + 0.05 * rng.standard_normal((n, 2))
+    raw[:, 21] = rng.uniform(4, 14, n)
+    raw[2, 14] = 900.0
+    raw[4, 14] = 18.0
+    raw[3] = np.nan
+    return CornerFits(raw), xy
+
+
+@pytest.mark.parametrize("size", [(11, 8), (7, 5), (5, 4), (5, 2), (9, 7)], ids=str)
+@pytest.mark.parametrize("has_places", [True, False])
+def test_pooling_is_the_plain_statement(size, has_places):
+    fits, xy = make_fits(*size)
+    places = xy if has_places else None
+    pooled = pool_corners(fits, places)
+    points, covariance, misfit, noise = plain.pool(fits, places)
+    assert np.isnan(pooled.points_px[[2, 3]]).all() and np.isnan(pooled.covariance_px2[[2, 3]]).all()
+    assert np.isfinite(np.delete(pooled.points_px, [2, 3], axis=0)).all()
+    assert np.allclose(pooled.points_px, points, rtol=0, atol=1e-9, equal_nan=True)
+    assert np.allclose(pooled.covariance_px2, covariance, rtol=1e-9, atol=1e-15, equal_nan=True)
+    assert np.allclose(pooled.misfit, misfit, equal_nan=True) and pooled.noise_dn == pytest.approx(noise)
+
+
+def test_no_fit_gives_no_noise():
+    pooled = pool_corners(CornerFits(np.full((5, 24), np.nan)), None)
+    assert np.isnan(pooled.noise_dn) and np.isnan(pooled.points_px).all()
+    assert len(pool_corners(CornerFits(np.empty((0, 24))), np.empty((0, 2))).points_px) == 0

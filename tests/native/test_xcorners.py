@@ -1,0 +1,123 @@
+"""The compiled reading of X-corners, their links and groups against plain statements."""
+
+import numpy as np
+import plain_xcorners as plain
+import pytest
+
+from binocal.native import pictures
+
+
+def make_board(noise_dn=4.0, seed=0, dtype=np.float32):
+    """A slanted checker of 17 px squares, smooth edges, with noise; and every place where squares meet."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[:150, :190].astype(float)
+    turn, shear = 0.3, 0.15
+    x, y = (np.cos(turn) * u + np.sin(turn) * v) / 17, (np.cos(turn) * v + (shear - np.sin(turn)) * u) / 17
+    image = 120 + 80 * np.tanh(8 * np.sin(np.pi * x) * np.sin(np.pi * y)) + noise_dn * rng.standard_normal(u.shape)
+    A = np.array([[np.cos(turn), np.sin(turn)], [shear - np.sin(turn), np.cos(turn)]]) / 17
+    cells = np.stack(np.meshgrid(np.arange(-3, 15), np.arange(-6, 12)), axis=-1).reshape(-1, 2)
+    points = cells @ np.linalg.inv(A).T
+    points = points[((points > 8) & (points < [181, 141])).all(axis=1)]
+    return np.clip(np.rint(image), 0, 255).astype(dtype), points + rng.uniform(-0.5, 0.5, points.shape)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_samples_are_bilinear_and_repeat_the_border(dtype):
+    image, _ = make_board(dtype=dtype)
+    points = np.random.default_rng(1).uniform(-5, 195, (40, 3, 2))
+    assert np.allclose(pictures.sample(image, points), plain.sample(image, points), atol=1e-3)
+    assert pictures.sample(image, np.array([[189.0, 149.0]]))[0] == image[149, 189]
+    assert pictures.sample(image, np.array([[np.nan, 1.0]]))[0] == 0
+    assert pictures.sample(image, np.zeros((0, 2))).shape == (0,)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("noise_dn", [2.0, 25.0])
+def test_rings_are_the_plain_statement(dtype, noise_dn):
+    image, points = make_board(noise_dn, dtype=dtype)
+    points = np.concatenate([points, np.random.default_rng(2).uniform(0, 150, (60, 2))])
+    is_corner, rays, contrast = pictures.read_rings(image, points, 4.0, 6.0, 0.35)
+    assert 20 < is_corner.sum() < len(points)
+    for i, point in enumerate(points):
+        expected, span = plain.read_ring(image, point, 4.0, 6.0, 0.35)
+        assert contrast[i] == pytest.approx(span, abs=1e-3)
+        assert is_corner[i] == (expected is not None)
+        if expected is not None:
+            assert np.allclose(rays[i], expected, atol=1e-4)
+
+
+def test_saddles_are_the_plain_statement():
+    image, points = make_board(dtype=np.uint8)
+    fit = np.random.default_rng(3).standard_normal((5, 81)) * 1e-4
+    step = np.arange(-4, 5)
+    y, x = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
+    fit += np.linalg.pinv(np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1).astype(float))[:5]
+    points = np.concatenate([points, [[2.0, 50.0], [60.0, 148.0], [np.nan, np.nan]]])
+    moved = pictures.localize_saddles(image, points, fit, 4)
+    assert (
+        np.array_equal(moved[-3:], points[-3:], equal_nan=True) and (moved[:-3] != points[:-3]).any(axis=1).mean() > 0.9
+    )
+    assert np.allclose(moved[:-3], [plain.localize_saddle(image, point, fit, 4) for point in points[:-3]], atol=1e-9)
+
+
+@pytest.mark.parametrize("noise_dn", [3.0, 30.0])
+def test_links_and_groups_are_the_plain_statements(noise_dn):
+    image, points = make_board(noise_dn)
+    is_corner, rays, contrast = pictures.read_rings(image, points, 4.0, 6.0, 0.45)
+    points, rays, contrast = points[is_corner], rays[is_corner], contrast[is_corner]
+    neighbour, back_ray = pictures.link_corners(image, points, rays, contrast, 0.44)
+    expected, expected_back = plain.link_corners(image, points, rays, contrast, 0.44)
+    assert np.array_equal(neighbour, expected) and (neighbour >= 0).sum() > 40
+    assert np.array_equal(back_ray[neighbour >= 0], expected_back[neighbour >= 0])
+    groups, plain_groups = (f(points, neighbour, back_ray) for f in (pictures.grow_groups, plain.grow_groups))
+    assert len(groups) == len(plain_groups) > 0
+    for group, expected_group in zip(groups, plain_groups, strict=True):
+        assert all(np.array_equal(part, whole) for part, whole in zip(group, expected_group, strict=True))
+    way = points[neighbour[neighbour >= 0]] - points[np.nonzero(neighbour >= 0)[0]]
+    start, sign = points[np.nonzero(neighbour >= 0)[0]], np.tile([1.0, -1.0], len(way))[: len(way)]
+    seen = pictures.follow_edges(image, start, way, sign, np.full(len(way), 60.0))
+    assert seen.tolist() == [plain.is_edge(image, *edge, 60.0) for edge in zip(start, way, sign, strict=True)]
+
+
+def test_a_link_across_a_shadow_does_not_shear_a_group():
+    points = np.stack(np.meshgrid(np.arange(6.0), np.arange(4.0)), axis=-1).reshape(-1, 2) * 20
+    neighbour, back_ray = np.full((24, 4), -1), np.full((24, 4), -1)
+    for i, (x, y) in enumerate((points / 20).astype(int)):
+        for ray, (dx, dy) in enumerate(plain.STEPS):
+            if 0 <= x + dx < 6 and 0 <= y + dy < 4:
+                neighbour[i, ray], back_ray[i, ray] = i + dx + 6 * dy, (ray + 2) % 4
+    neighbour[14, 0], neighbour[9, 2], neighbour[15, 2], neighbour[8, 0] = 9, 14, -1, -1  # (2, 2) to (3, 1), not (3, 2)
+    groups, plain_groups = (f(points, neighbour, back_ray) for f in (pictures.grow_groups, plain.grow_groups))
+    assert all(np.array_equal(part, whole) for part, whole in zip(groups[0], plain_groups[0], strict=True))
+    members, cells, _ = groups[0]
+    assert len(members) == 24 and np.array_equal(cells - cells[members == 0], (points[members] / 20).astype(int))
+
+
+def test_no_corners_give_no_groups():
+    image = np.zeros((40, 40), np.float32)
+    none = np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0)
+    neighbour, back_ray = pictures.link_corners(image, *none, 0.4)
+    assert neighbour.shape == (0, 4) and pictures.grow_groups(none[0], neighbour, back_ray) == []
+    assert pictures.read_rings(image, np.array([[20.0, 20.0]]), 3.0, 6.0, 0.35)[0].tolist() == [False]
+    with pytest.raises(ValueError, match="lengths"):
+        pictures.link_corners(image, np.zeros((2, 2)), np.zeros((1, 4)), np.zeros(2), 0.4)
+
+
+def test_the_response_is_the_plain_statement():
+    image, _ = make_board(noise_dn=8.0)
+    response = pictures.saddle_response(image)
+    assert np.allclose(response, plain.saddle_response(image), rtol=1e-4, atol=1e-2)
+    into = np.empty_like(image)
+    assert pictures.saddle_response(image, into) is into and np.array_equal(into, response)
+    with pytest.raises(ValueError, match="shape"):
+        pictures.saddle_response(image, np.empty((3, 3), np.float32))
+
+
+@pytest.mark.parametrize("reach, margin, least, most", [(1, 1, -1e9, 100_000), (2, 5, 50.0, 40), (4, 3, 1e9, 10)])
+def test_peaks_are_the_plain_statement(reach, margin, least, most):
+    image, _ = make_board(noise_dn=8.0)
+    response = pictures.saddle_response(image)
+    peaks = pictures.find_peaks(response, reach, margin, least, most)
+    expected = plain.find_peaks(response.astype(float), reach, margin, least, most)
+    assert len(peaks) == len(expected) and (len(peaks) > 0) == (least < 1e6)
+    assert np.allclose(peaks, expected, atol=1e-5)
