@@ -19,7 +19,6 @@ from numpy import ndarray
 
 from binocal.datasets.containers import identify_container, structure_problem
 from binocal.errors import FormatError
-from binocal.native.pictures import decode_grey_png
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8, UInt16
@@ -91,10 +90,6 @@ def _decode(path: Path, content: bytes, *, as_grey: bool) -> ndarray:
     problem = structure_problem(content, container)
     if problem:
         raise FormatError(path, f"{problem}; copy or record the picture again")
-    if container == "PNG":
-        plain = decode_grey_png(content)  # in two thirds of the time that OpenCV takes
-        if plain is not None:
-            return plain
     flags = cv2.IMREAD_UNCHANGED
     if as_grey and container == "JPEG":
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION

@@ -8,7 +8,6 @@ NB_MODULE(_kernel, module) {
     binocal::register_poses(module);
     binocal::register_step(module);
     binocal::register_corner_fit(module);
-    binocal::register_png(module);
     binocal::register_saddles(module);
     binocal::register_xcorners(module);
 }

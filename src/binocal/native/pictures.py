@@ -7,7 +7,6 @@ it works. Tests/native states each function plainly in NumPy and compares.
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -22,22 +21,6 @@ if TYPE_CHECKING:
 
 N_RING = _kernel.N_RING
 _NOTHING = np.empty(0)
-
-
-def decode_grey_png(content: bytes) -> ndarray | None:
-    """The picture (h, w), uint8 or uint16, of a PNG file that is plainly grey; None where another decoder must judge.
-
-    Interlaced, transparent or animated pictures, other depths, and whatever is not whole. Checksums are not verified.
-    """
-    if len(content) < 33 or content[12:16] != b"IHDR":
-        return None
-    width, height, depth, *kind = struct.unpack_from(">IIBBBBB", content, 16)
-    n_bytes = width * height * depth // 8
-    # No deflate stream is a thousandth of its content: a header that says so asks for memory only.
-    if depth not in (8, 16) or any(kind) or not 0 < n_bytes < 1032 * len(content):
-        return None
-    picture = np.empty((height, width), np.uint8 if depth == 8 else np.uint16)
-    return picture if _kernel.decode_grey_png(content, picture) else None
 
 
 def saddle_response(
