@@ -108,3 +108,65 @@ def test_poses_step_and_compose_like_their_matrices(angle_rad):
     R_both, t_both = compose_poses(R[:, 0], t[:, 0], R, t)
     assert np.allclose(R_both, R[:, :1] @ R, atol=1e-15)
     assert np.allclose(t_both, (R[:, :1] @ t[..., None])[..., 0] + t[:, :1], atol=1e-14)
+
+
+@pytest.mark.parametrize("intrinsics", [False, True])
+def test_an_altered_step_lets_the_views_take_their_best(intrinsics):
+    # the altered shared step is given; the views then solve their own dense equations, and the fall is the dense quadratic's
+    problem, estimate = make_problem("brown4", intrinsics=intrinsics)
+    equations, s = linearize(problem, estimate, np.asarray(0.5), "cauchy"), problem.n_shared
+    H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
+    plain = solve_step(problem, estimate, equations, np.zeros(()))
+    stretched = solve_step(problem, estimate, equations, np.zeros(()), np.array([1.3, 0.8]))
+    given = np.array([1e-3, -2e-3, 5e-4, 1e-4, 2e-4, -3e-4])
+    shifted = solve_step(problem, estimate, equations, np.zeros(()), increment=given)
+    assert np.allclose(stretched.shared[-6:], plain.shared[-6:] * np.repeat([1.3, 0.8], 3), rtol=1e-12)
+    assert np.allclose(stretched.shared[:-6], plain.shared[:-6], rtol=1e-12)
+    assert np.allclose(shifted.shared[-6:], given, rtol=1e-9)
+    for step in (stretched, shifted):
+        views = np.linalg.solve(H[s:, s:], g[s:] - H[s:, :s] @ step.shared)
+        assert np.allclose(step.views.ravel(), views, rtol=1e-6, atol=1e-12)
+        whole = np.r_[step.shared, views]
+        assert step.predicted_px2 == pytest.approx(whole @ g - 0.5 * whole @ H @ whole, rel=1e-7)
+
+
+def test_pose_damping_holds_the_boards_and_not_the_rig():
+    problem, estimate = make_problem("brown4", intrinsics=False)
+    equations, s = linearize(problem, estimate, np.asarray(0.5), "cauchy"), problem.n_shared
+    H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
+    step = solve_step(problem, estimate, equations, np.asarray(0.1), pose_damping=np.asarray(50.0))
+    damped = H.copy()
+    diagonal = np.diag(H)
+    damped[np.diag_indices_from(damped)] = diagonal * np.r_[np.full(s, 1.1), np.full(len(H) - s, 51.0)]
+    expected = np.linalg.solve(damped, g)
+    assert np.allclose(np.r_[step.shared, step.views.ravel()], expected, rtol=1e-8, atol=1e-13)
+    assert step.predicted_px2 == pytest.approx(expected @ g - 0.5 * expected @ H @ expected, rel=1e-9)
+
+
+def test_a_view_that_its_corners_do_not_determine_spoils_no_other():
+    # two corners leave a pose loose: the step of everything else is as if the view were not there
+    problem, estimate = make_problem("brown4", intrinsics=False)
+    few = [c.is_seen.copy() for c in problem.cameras]
+    for is_seen in few:
+        is_seen[3] = False
+    few[0][3, :2] = True
+    loose = replace(problem, cameras=tuple(replace(c, is_seen=f) for c, f in zip(problem.cameras, few, strict=True)))
+    few[0][3] = False
+    without = replace(problem, cameras=tuple(replace(c, is_seen=f) for c, f in zip(problem.cameras, few, strict=True)))
+    steps = [
+        solve_step(p, estimate, linearize(p, estimate, np.asarray(0.5), "cauchy"), np.zeros(()))
+        for p in (loose, without)
+    ]
+    assert np.isfinite(steps[0].predicted_px2)
+    assert np.allclose(steps[0].shared, steps[1].shared, rtol=1e-9)
+    assert not np.any(steps[0].views[3])
+
+
+def test_gradient_and_least_pivot_describe_the_reduced_equations():
+    problem, estimate = make_problem("brown4", intrinsics=False)
+    H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
+    s = problem.n_shared
+    eliminate = H[:s, s:] @ np.linalg.inv(H[s:, s:])
+    step = solve_step(problem, estimate, linearize(problem, estimate, np.asarray(0.5), "cauchy"), np.zeros(()))
+    assert np.allclose(step.gradient_px2, g[:s] - eliminate @ g[s:], rtol=1e-8)
+    assert 0 < step.least_pivot <= 1

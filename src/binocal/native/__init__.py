@@ -49,6 +49,22 @@ class ViewEquations:
     cost_px2: Float[ndarray, "*batch views"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Steps of the shared unknowns and of the board poses, and what is known of them.
+
+    ``predicted_px2`` is the fall of the cost that the linear model predicts. ``gradient_px2`` is the shared unknowns' gradient
+    with the board poses eliminated, ``least_pivot`` the least pivot of their equilibrated matrix: 1 where the unknowns do not
+    mix, near 0 where some can hardly be told apart.
+    """
+
+    shared: Float[ndarray, "*batch s"]
+    views: Float[ndarray, "*batch views 6"]
+    predicted_px2: Float[ndarray, "*batch"]
+    gradient_px2: Float[ndarray, "*batch s"]
+    least_pivot: Float[ndarray, "*batch"]
+
+
 def n_cpus() -> int:
     """Processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
@@ -135,6 +151,51 @@ def median_lengths2(
     return medians
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LastIteration:
+    """The kernel's scale now, and of the last iteration: gain, whether its candidate was kept, noise and step before it."""
+
+    scale_px: Float[ndarray, "*batch"]
+    gain: Float[ndarray, "*batch"]
+    is_kept: Bool[ndarray, "*batch"]
+    previous_mad_px: Float[ndarray, "*batch"]
+    previous: Steps
+
+
+def observe(
+    r2_px2: tuple[Float[ndarray, "*batch views n"], ...],
+    is_seen: tuple[Bool[ndarray, "*batch views n"], ...],
+    mad_px: Float[ndarray, "*batch"],
+    steps: Steps,
+    t_right_left: Float[ndarray, "*batch 3"],
+    t_left_board: Float[ndarray, "*batch views 3"],
+    last: LastIteration,
+) -> Float[ndarray, "*batch f"]:
+    """Scale-free numbers of two cameras' residuals and of the next step; :mod:`binocal.solvers.steering` names them."""
+    batch = mad_px.shape
+    n_rigs = math.prod(batch)
+    out = np.empty((*batch, _kernel.N_OBSERVED))
+    floats = (
+        mad_px,
+        steps.shared,
+        steps.views,
+        steps.predicted_px2,
+        steps.gradient_px2,
+        steps.least_pivot,
+        t_right_left,
+    )
+    before = (last.previous_mad_px, last.previous.predicted_px2, last.previous.shared)
+    _kernel.observe(
+        [np.ascontiguousarray(a).reshape(n_rigs, *a.shape[-2:]) for a in r2_px2],
+        [np.ascontiguousarray(a) for a in is_seen],
+        *(np.ascontiguousarray(a, dtype=float) for a in (*floats, t_left_board, last.scale_px, last.gain)),
+        np.ascontiguousarray(last.is_kept),
+        *(np.ascontiguousarray(a, dtype=float) for a in before),
+        out,
+    )
+    return out
+
+
 def step_poses(
     R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"], xi: Float[ndarray, "*batch 6"]
 ) -> tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]]:
@@ -155,6 +216,37 @@ def compose_poses(
     arrays = [np.ascontiguousarray(a, dtype=float) for a in (R_rig, t_rig, R, t)]
     out = np.empty(arrays[2].shape), np.empty(arrays[3].shape)
     _kernel.compose_poses(*arrays, *out)
+    return out
+
+
+def pixels_behind(
+    model: str,
+    parameters: tuple[Float[ndarray, "*batch p"], Float[ndarray, "*batch p"]],
+    T_left_board: tuple[
+        Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"], Float[ndarray, "*batch views 6"]
+    ],
+    T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"], Float[ndarray, "*batch 6"]] | None,
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    bend: Float[ndarray, "*batch"],
+) -> Float[ndarray, "*batch views 2 n"]:
+    """``pixels`` less the motion of the predicted corners along a step, to second order (of which ``bend`` counts).
+
+    Each value comes with its step: parameters additive, transforms stepped from the left. ``T_right_left`` is None for the
+    left camera. A residual to these pixels where the estimate stands is the residual that the second-order model of the
+    projections leaves after the step.
+    """
+    n_rigs = math.prod(pixels.shape[:-3])
+    out = np.empty(pixels.shape)
+    rig = (_NOTHING,) * 3 if T_right_left is None else T_right_left
+    _kernel.pixels_behind(
+        model,
+        *(np.ascontiguousarray(a, dtype=float).reshape(n_rigs, -1) for a in parameters),
+        *(np.ascontiguousarray(a, dtype=float) for a in (*T_left_board, *rig, bend, object_points)),
+        np.ascontiguousarray(pixels, dtype=float).reshape(-1, 2, pixels.shape[-1]),
+        out.reshape(-1, 2, pixels.shape[-1]),
+        _n_threads(pixels.size // 4),
+    )
     return out
 
 
@@ -206,21 +298,35 @@ def solve_steps(
     T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
     growth: Float[ndarray, "*batch"],
     *,
+    pose_growth: Float[ndarray, "*batch"] | None = None,
     is_rig_free: bool = True,
     prior: tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch s"]] | None = None,
-) -> tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch views 6"], Float[ndarray, "*batch"]]:
+    stretch: Float[ndarray, "*batch s"] | None = None,
+    shift: Float[ndarray, "*batch s"] | None = None,
+) -> Steps:
     """Shared and view steps of the joint normal equations, and the fall of the cost that they predict.
 
     ``grams`` come from :func:`accumulate`, one for each camera; the diagonal of the normal equations is multiplied by
-    ``growth``. Shared unknowns are the cameras' free parameters, then the rig's six if it is free. ``prior`` is added
-    to their diagonal and gradient. Views are eliminated by Cholesky factors (Schur complement), the rest by Gauss with
-    pivoting, both equilibrated. A rig whose equations are singular gets NaN.
+    ``growth``, the board poses' own part by ``pose_growth`` if given. Shared unknowns are the cameras' free parameters,
+    then the rig's six if it is free. ``prior`` is added to their diagonal and gradient. ``stretch`` multiplies the shared
+    steps and ``shift`` is added to them; the views then take their best step beside, and the fall of that step is
+    predicted. Views are eliminated by Cholesky factors (Schur complement), the rest by Gauss with pivoting, both
+    equilibrated. A view whose weighted corners do not determine its pose neither steps nor counts; a rig whose equations
+    are singular gets NaN.
     """
     *batch, n_views, _, _ = grams[0].shape
     n_shared = _n_shared(grams, is_rig_free)
-    shared, views, predicted = np.empty((*batch, n_shared)), np.empty((*batch, n_views, 6)), np.empty(batch)
-    _solve(grams, T_right_left, growth, is_rig_free, prior, (shared, views, predicted, _NOTHING))
-    return shared, views, predicted
+    steps = Steps(
+        np.empty((*batch, n_shared)),
+        np.empty((*batch, n_views, 6)),
+        np.empty(batch),
+        np.empty((*batch, n_shared)),
+        np.empty(batch),
+    )
+    out = (steps.shared, steps.views, steps.predicted_px2, _NOTHING, steps.gradient_px2, steps.least_pivot)
+    growths = (growth, growth if pose_growth is None else pose_growth)
+    _solve(grams, T_right_left, growths, is_rig_free, prior, (stretch, shift), out)
+    return steps
 
 
 def reduced_information(
@@ -237,8 +343,8 @@ def reduced_information(
     batch = grams[0].shape[:-3]
     n_shared = _n_shared(grams, is_rig_free)
     reduced = np.empty((*batch, n_shared, n_shared))
-    out = (_NOTHING, _NOTHING, _NOTHING, reduced)
-    _solve(grams, T_right_left, np.ones(batch), is_rig_free, prior, out)
+    out = (_NOTHING, _NOTHING, _NOTHING, reduced, _NOTHING, _NOTHING)
+    _solve(grams, T_right_left, (np.ones(batch),) * 2, is_rig_free, prior, (None, None), out)
     return reduced
 
 
@@ -264,10 +370,11 @@ def _n_shared(grams: tuple[ndarray, ...], is_rig_free: bool) -> int:
 def _solve(
     grams: tuple[ndarray, ...],
     T_right_left: tuple[ndarray, ndarray] | None,
-    growth: ndarray,
+    growths: tuple[ndarray, ndarray],
     is_rig_free: bool,
     prior: tuple[ndarray, ndarray] | None,
-    out: tuple[ndarray, ndarray, ndarray, ndarray],
+    alteration: tuple[ndarray | None, ndarray | None],
+    out: tuple[ndarray, ...],
 ) -> None:
     n_views = grams[0].shape[-3]
     n_rigs = math.prod(grams[0].shape[:-3])
@@ -278,7 +385,10 @@ def _solve(
         flat,
         *(np.ascontiguousarray(a, dtype=float) for a in (R, t)),
         is_rig_free,
-        *(np.ascontiguousarray(a, dtype=float) for a in (weight, gradient, growth)),
+        *(
+            np.ascontiguousarray(a, dtype=float)
+            for a in (weight, gradient, *growths, *(_NOTHING if a is None else a for a in alteration))
+        ),
         *out,
         min(_N_CPUS, 1 + n_rigs * n_views // VIEWS_PER_THREAD),
     )

@@ -8,6 +8,8 @@ NB_MODULE(_kernel, module) {
     binocal::register_poses(module);
     binocal::register_step(module);
     binocal::register_corner_fit(module);
+    binocal::register_motion(module);
+    binocal::register_observe(module);
     binocal::register_saddles(module);
     binocal::register_xcorners(module);
 }

@@ -31,9 +31,12 @@ struct Problem {
     int s;                                // shared unknowns
     const double *R, *t;                  // T_right_left of each rig, null with one camera
     const double *prior_weight, *prior_gradient;  // (rigs, s), added to the diagonal and the gradient
-    const double* growth;                 // (rigs), what the diagonals are multiplied by
+    const double *growth, *pose_growth;   // (rigs), what the diagonals of shared unknowns and of poses are multiplied by
+    const double* stretch;                // (rigs, s), what the shared steps are multiplied by, or null
+    const double* shift;                  // (rigs, s), what is added to them, or null
     double *shared, *views, *predicted;   // (rigs, s), (rigs, views, 6), (rigs); null if only reduced is wanted
     double* reduced;                      // (rigs, s, s), or null
+    double *gradient, *pivot;             // (rigs, s), (rigs): reduced gradient, least pivot of its equilibrated matrix; or null
 };
 
 // In place: rows (a, b) of x become Adᵀ x with Ad = [[R, 0], [hat(t) R, R]].
@@ -47,13 +50,15 @@ BINOCAL_INLINE void adjoint_transposed(const double* R, const double* t, double*
 }
 
 // x = A⁻¹ b by elimination with partial pivoting; false where A is singular. A and x (b at first) are overwritten.
-BINOCAL_INLINE bool solve(double* A, double* x, int n) {
+BINOCAL_INLINE bool solve(double* A, double* x, int n, double& least_pivot) {
+    least_pivot = std::numeric_limits<double>::infinity();
     for (int column = 0; column < n; ++column) {
         int pivot = column;
         for (int row = column + 1; row < n; ++row) {
             if (std::abs(A[row * n + column]) > std::abs(A[pivot * n + column])) pivot = row;
         }
         if (!(std::abs(A[pivot * n + column]) > 0)) return false;
+        least_pivot = std::min(least_pivot, std::abs(A[pivot * n + column]));
         if (pivot != column) {
             for (int k = column; k < n; ++k) std::swap(A[pivot * n + k], A[column * n + k]);
             std::swap(x[pivot], x[column]);
@@ -104,12 +109,13 @@ template <int lanes>
 BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspace& w) {
     const int s = problem.s;
     const std::size_t n_views = problem.n_views;
-    const double growth = problem.growth[rig];
+    const double growth = problem.growth[rig], pose_growth = problem.pose_growth[rig];
     const double *R = problem.R ? problem.R + 9 * rig : nullptr, *t = problem.t ? problem.t + 3 * rig : nullptr;
     double *H = w.H.data(), *g = w.g.data(), *Y = w.Y.data();
     std::fill(w.H.begin(), w.H.end(), 0.0);
     std::fill(w.g.begin(), w.g.end(), 0.0);
     std::fill(w.totals.begin(), w.totals.end(), 0.0);
+    std::size_t n_loose = 0;  // views whose pose their corners do not determine
     alignas(64) double W[6][kMaxColumns];  // a view's coupling, row after row, then in column s its gradient
     for (std::size_t view = 0; view < n_views; ++view) {
         double* A = w.L.data() + 36 * view;
@@ -155,12 +161,25 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             std::fill(A, A + 36, 0.0);
             for (int i = 0; i < 6; ++i) A[7 * i] = 1;
         }
-        for (int i = 0; i < 6; ++i) A[7 * i] *= growth;
+        for (int i = 0; i < 6; ++i) A[7 * i] *= pose_growth;
         for (int i = 0; i < 6; ++i) scale[i] = 1 / std::sqrt(std::max(A[7 * i], kTiny));
         for (int i = 0; i < 6; ++i) {
             for (int k = 0; k < 6; ++k) A[6 * i + k] *= scale[i] * scale[k];
         }
-        if (!cholesky6(A)) return false;
+        if (!cholesky6(A)) {  // the corners that carry weight do not hold the pose: the same
+            for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
+                const int q = problem.cameras[index].p + 7;
+                const double* G = problem.cameras[index].gram + (rig * n_views + view) * q * q;
+                double* total = w.totals.data() + index * kMaxGram;
+                for (int i = 0; i < q * q; ++i) total[i] -= G[i];
+            }
+            std::fill(A, A + 36, 0.0);
+            for (int i = 0; i < 6; ++i) A[7 * i] = scale[i] = 1;
+            for (auto& row : W) std::fill(row, row + s + 1, 0.0);
+            std::fill(diagonal, diagonal + 6, 0.0);
+            std::fill(w.gradients.data() + 6 * view, w.gradients.data() + 6 * view + 6, 0.0);
+            ++n_loose;
+        }
         for (int i = 0; i < 6; ++i) {  // Y = L⁻¹ S [W, gradient], in place, all columns at once
             const double inverse_pivot = 1 / A[7 * i];
             double* row = W[i];
@@ -174,6 +193,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             for (int i = 0; i < 6; ++i) Y[column * w.stride + 6 * view + i] = W[i][column];
         }
     }
+    if (n_loose == n_views) return false;
     for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
         const CameraPart& camera = problem.cameras[index];
         const int q = camera.p + 7, n_keep = static_cast<int>(camera.keep.size());
@@ -201,13 +221,31 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
     }
     if (problem.reduced) std::copy(A.begin(), A.end(), problem.reduced + rig * s * s);
     if (!problem.shared) return true;
+    if (problem.gradient) std::copy(x.begin(), x.end(), problem.gradient + rig * s);
     for (int i = 0; i < s; ++i) {
         for (int k = 0; k < s; ++k) A[i * s + k] *= scale[i] * scale[k];
         x[i] *= scale[i];
     }
-    if (!solve(A.data(), x.data(), s)) return false;
+    std::vector<double> plain, right_side;  // the equations as they were, for a step that does not solve them
+    const bool is_altered = problem.stretch || problem.shift;
+    if (is_altered) plain = A, right_side = x;
+    double least_pivot;
+    if (!solve(A.data(), x.data(), s, least_pivot)) return false;
+    if (problem.pivot) problem.pivot[rig] = least_pivot;
+    double unsolved = 0;  // step times what it leaves of the gradient
+    if (is_altered) {
+        for (int i = 0; i < s; ++i) {
+            if (problem.stretch) x[i] *= problem.stretch[rig * s + i];
+            if (problem.shift) x[i] += problem.shift[rig * s + i] / scale[i];
+        }
+        for (int i = 0; i < s; ++i) {
+            double left = right_side[i];
+            for (int k = 0; k < s; ++k) left -= plain[i * s + k] * x[k];
+            unsolved += x[i] * left;
+        }
+    }
     double *shared = problem.shared + rig * s, *views = problem.views + 6 * n_views * rig;
-    double linear = 0, extra = 0;
+    double linear = 0, extra = 0, pose_extra = 0;
     for (int i = 0; i < s; ++i) {
         shared[i] = x[i] * scale[i];
         linear += shared[i] * g[i];
@@ -228,10 +266,10 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
         for (int i = 0; i < 6; ++i) {
             xi[i] *= view_scale[i];
             linear += xi[i] * w.gradients[6 * view + i];
-            extra += xi[i] * xi[i] * w.diagonals[6 * view + i];
+            pose_extra += xi[i] * xi[i] * w.diagonals[6 * view + i];
         }
     }
-    problem.predicted[rig] = 0.5 * (linear + (growth - 1) * extra);
+    problem.predicted[rig] = 0.5 * (linear + unsolved + (growth - 1) * extra + (pose_growth - 1) * pose_extra);
     return std::isfinite(problem.predicted[rig]);
 }
 
@@ -246,6 +284,7 @@ BINOCAL_INLINE void run_rigs(const Problem& problem, std::size_t first, std::siz
             std::fill_n(problem.shared + rig * s, s, nan);
             std::fill_n(problem.views + rig * v, v, nan);
             problem.predicted[rig] = nan;
+            if (problem.gradient) std::fill_n(problem.gradient + rig * s, s, nan), problem.pivot[rig] = nan;
         } else {
             std::fill_n(problem.reduced + rig * s * s, s * s, nan);
         }
@@ -255,8 +294,8 @@ BINOCAL_INLINE void run_rigs(const Problem& problem, std::size_t first, std::siz
 BINOCAL_DISPATCH(steps_of_rigs, Problem, (run_rigs<lanes>(task, first, last)))
 
 void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doubles& t, bool is_rig_free, const Doubles& prior_weight, const Doubles& prior_gradient,
-                 const Doubles& growth, DoublesOut shared, DoublesOut views, DoublesOut predicted, DoublesOut reduced,
-                 std::size_t n_threads) {
+                 const Doubles& growth, const Doubles& pose_growth, const Doubles& stretch, const Doubles& shift, DoublesOut shared, DoublesOut views, DoublesOut predicted, DoublesOut reduced,
+                 DoublesOut gradient, DoublesOut pivot, std::size_t n_threads) {
     auto require = [](bool holds, const char* what) {
         if (!holds) throw std::invalid_argument(what);
     };
@@ -283,7 +322,7 @@ void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doub
     problem.s = column;
     require(column <= kMaxShared, "too many shared unknowns");
     const std::size_t rigs = problem.n_rigs, s = column;
-    require(growth.size() == rigs, "one growth for each rig");
+    require(growth.size() == rigs && pose_growth.size() == rigs, "one growth for each rig");
     if (is_stereo) {
         require(R.size() == 9 * rigs && t.size() == 3 * rigs, "one T_right_left for each rig");
         problem.R = R.data(), problem.t = t.data();
@@ -292,7 +331,19 @@ void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doub
         require(prior_weight.size() == rigs * s && prior_gradient.size() == rigs * s, "the priors' size is wrong");
         problem.prior_weight = prior_weight.data(), problem.prior_gradient = prior_gradient.data();
     }
-    problem.growth = growth.data();
+    problem.growth = growth.data(), problem.pose_growth = pose_growth.data();
+    if (stretch.size() > 0) {
+        require(stretch.size() == rigs * s, "one stretch for each shared unknown");
+        problem.stretch = stretch.data();
+    }
+    if (shift.size() > 0) {
+        require(shift.size() == rigs * s, "one shift for each shared unknown");
+        problem.shift = shift.data();
+    }
+    if (gradient.size() > 0) {
+        require(gradient.size() == rigs * s && pivot.size() == rigs, "an output has the wrong size");
+        problem.gradient = gradient.data(), problem.pivot = pivot.data();
+    }
     if (predicted.size() > 0) {
         require(shared.size() == rigs * s && views.size() == 6 * rigs * problem.n_views && predicted.size() == rigs,
                 "an output has the wrong size");

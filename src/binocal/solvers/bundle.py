@@ -21,9 +21,12 @@ from numpy import ndarray
 from binocal.cameras import CameraModel
 from binocal.geometry import so3
 from binocal.native import (
+    Steps,
     ViewEquations,
     accumulate,
     compose_poses,
+    median_lengths2,
+    pixels_behind,
     reduced_information,
     solve_steps,
     squared_lengths,
@@ -130,16 +133,8 @@ class BundleEquations:
     scale_px: Float[ndarray, "*batch"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BundleStep:
-    """A Newton-like step: shared parameters.
-
-    Free ones only, in order, view poses, and the predicted fall of the cost.
-    """
-
-    shared: Float[ndarray, "*batch s"]
-    views: Float[ndarray, "*batch views 6"]
-    predicted_px2: Float[ndarray, "*batch"]
+BundleStep = Steps
+"""A Newton-like step: shared parameters (free ones only, in order), view poses, and the predicted fall of the cost."""
 
 
 def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 6 6"]:
@@ -171,6 +166,11 @@ def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> tuple
         squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen, c.whitening)
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )
+
+
+def noise_estimate_px(problem: BundleProblem, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
+    """Noise of one corner coordinate of each rig from the squared residual lengths of its cameras (MAD); floored."""
+    return robust.scale_of_median(median_lengths2(r2_px2, tuple(c.is_seen for c in problem.cameras)))
 
 
 def linearize(
@@ -214,14 +214,37 @@ def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:
 
 
 def solve_step(
-    problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations, damping: Float[ndarray, "*batch"]
+    problem: BundleProblem,
+    estimate: BundleEstimate,
+    equations: BundleEquations,
+    damping: Float[ndarray, "*batch"],
+    stretch: Float[ndarray, "*batch 2"] | None = None,
+    increment: Float[ndarray, "*batch 6"] | None = None,
+    pose_damping: Float[ndarray, "*batch"] | None = None,
 ) -> BundleStep:
     """Levenberg-Marquardt step with Marquardt's scaling (1963): the diagonal grows by the factor 1 + damping.
 
-    NaN where the damped equations are singular (a rig of the batch is degenerate).
+    ``stretch`` multiplies the step of the rig's rotation and translation, ``increment`` takes its place; the board poses take
+    their best step beside it.
+    ``pose_damping``, if given, damps the board poses in place of ``damping``. NaN where the damped equations are singular (a rig
+    of the batch is degenerate).
     """
     growth = 1 + np.asarray(damping, dtype=float)
-    return BundleStep(*solve_steps(**_equations(problem, estimate, equations), growth=growth))
+    stretches = shifts = None
+    if stretch is not None:
+        stretches = np.ones((*growth.shape, problem.n_shared))
+        stretches[..., -6:] = np.repeat(stretch, 3, axis=-1)
+    if increment is not None:
+        stretches, shifts = np.ones((*growth.shape, problem.n_shared)), np.zeros((*growth.shape, problem.n_shared))
+        stretches[..., -6:], shifts[..., -6:] = 0.0, increment
+    pose_growth = None if pose_damping is None else 1 + np.asarray(pose_damping, dtype=float)
+    return solve_steps(
+        **_equations(problem, estimate, equations),
+        growth=growth,
+        pose_growth=pose_growth,
+        stretch=stretches,
+        shift=shifts,
+    )
 
 
 def shared_information(
@@ -264,6 +287,35 @@ def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) 
     if problem.is_stereo and problem.is_rig_free:
         rig = step_poses(*rig, step.shared[..., column:])
     return BundleEstimate(tuple(parameters), *views, *rig)
+
+
+def straightened(
+    problem: BundleProblem, estimate: BundleEstimate, step: BundleStep, bend: Float[ndarray, "*batch"]
+) -> BundleProblem:
+    """The problem as it looks from the estimate once the step is taken, projections followed to second order.
+
+    Its residuals at ``estimate`` are those that the step leaves, so a second linear step from it corrects the first one
+    for the bending of the projections, and for corners that only the first step shows to be outliers. ``bend`` is the
+    share of the second order that counts.
+
+    Source: Chebyshev's method; as geodesic acceleration in Transtrum & Sethna 2012, "Improvements to the
+    Levenberg-Marquardt algorithm". Here the corrected residuals are weighed anew.
+    """
+    cameras, column = [], 0
+    has_rig = problem.is_stereo and problem.is_rig_free
+    rig_step = step.shared[..., -6:] if has_rig else np.zeros((*step.shared.shape[:-1], 6))
+    for index, (camera, values) in enumerate(zip(problem.cameras, estimate.parameters, strict=True)):
+        moved = np.zeros(values.shape)
+        count = int(camera.is_free.sum())
+        moved[..., camera.is_free] = step.shared[..., column : column + count]
+        column += count
+        rig = (estimate.R_right_left, estimate.t_right_left, rig_step) if index == 1 else None
+        poses = (estimate.R_left_board, estimate.t_left_board, step.views)
+        pixels = pixels_behind(
+            camera.model.name, (values, moved), poses, rig, problem.object_points, camera.pixels, bend
+        )
+        cameras.append(replace(camera, pixels=pixels))
+    return replace(problem, cameras=tuple(cameras))
 
 
 def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleEstimate) -> BundleEstimate:

@@ -114,4 +114,5 @@ def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate, damping: 
     step, *_ = np.linalg.lstsq(damped, np.concatenate([flat[:, -1], np.zeros(n_shared)]), rcond=None)
     step = step / size[:-1]
     views = np.linalg.solve(R_pose, Q.swapaxes(-1, -2) @ (r - A @ step[:, None]))[..., 0]
-    return BundleStep(step, views, np.asarray(np.nan))
+    unknown = np.asarray(np.nan)
+    return BundleStep(step, views, unknown, np.full(n_shared, np.nan), unknown)

@@ -26,6 +26,10 @@ A corner of Gaussian noise lies beyond 3.5 sigma once in 460, so 99.9 % of the e
 """
 
 
+HAMPEL_LIMIT = HAMPEL_FLAT * (0.5 * (HAMPEL_DROP + HAMPEL_END) - 0.5 * HAMPEL_FLAT)
+"""Cost of a corner without weight, in squared scales."""
+
+
 def weights(
     r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel
 ) -> Float[ndarray, "*batch"]:
