@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import median_lengths2, robust_costs
+from binocal.native import robust_costs
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
     BundleEstimate,
     BundleProblem,
     linearize,
+    noise_estimate_px,
     residual_lengths2,
     retract,
     select_equations,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 
 CLOSING_RATIO = 0.9  # the scale fell by more than this in a step: the kernel is still closing
+START_DAMPING = 1e-6
+RESUMED_DAMPING = 1e-9  # of a solve that begins near its minimum: more would take short steps there for arrival
 ARRIVAL_DAMPING = 1e-5  # more would make a step short on its own
 
 
@@ -45,7 +48,7 @@ class LoopOptions:
     tolerance_sigma: float = 0.02
     """Stop where the next step would be shorter than this: its norm over all unknowns, in standard deviations of the
     estimate; for one parameter among hundreds it is far shorter. On exact corners the tolerance is 10⁴ times smaller."""
-    initial_damping: float = 1e-6
+    initial_damping: float = START_DAMPING
     damping_fall: float = 30.0
     damping_rise: float = 10.0
     least_raised_damping: float = (
@@ -67,11 +70,6 @@ class Minimum:
     options: LoopOptions = field(default_factory=LoopOptions)
 
 
-def noise_estimate_px(problem: BundleProblem, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
-    """Noise of one corner coordinate of each rig from the squared residual lengths of its cameras (MAD); floored."""
-    return robust.scale_of_median(median_lengths2(r2_px2, tuple(c.is_seen for c in problem.cameras)))
-
-
 def _cost(equations: BundleEquations, scale_px: ndarray, kernel: robust.Kernel) -> ndarray:
     """Robust cost of stored residuals under another scale."""
     total = scale_px**2 * equations.prior_energy
@@ -86,10 +84,12 @@ def minimize(
     options: LoopOptions | None = None,
     *,
     scale_px: Float[ndarray, "*batch"] | None = None,
+    equations: BundleEquations | None = None,
 ) -> Minimum:
     """Robust minimum near ``start``.
 
-    ``scale_px`` is a first guess of the kernel's scale (found from the residuals if None).
+    ``scale_px`` is a first guess of the kernel's scale (found from the residuals if None); ``equations`` may be those of the
+    start under that scale, if they are at hand.
 
     ``is_converged`` is False where the iterations ran out, or where no damping made the cost fall although a step was
     due.
@@ -102,7 +102,7 @@ def minimize(
         scale = options.scale_factor * np.where(np.isfinite(noise_px), noise_px, 1.0)
     else:
         scale = np.broadcast_to(np.asarray(scale_px, dtype=float), batch).copy()
-    equations = linearize(problem, start, scale, kernel)
+    equations = linearize(problem, start, scale, kernel) if equations is None else equations
     estimate, cost = start, equations.cost_px2
     damping = np.full(batch, options.initial_damping)
     is_settled = np.zeros(batch, dtype=bool)
