@@ -1,5 +1,6 @@
 # make demo: render, calibrate and compare.  make test: what CI runs.  make lint: the checks without the tests.
-# Each makes .venv and the compiled kernel first, and anew when pyproject.toml, constraints.txt or a kernel changes.
+# Each makes .venv and the compiled kernel first, and anew when pyproject.toml, constraints.txt or a kernel changes; the demonstration needs
+# no more than a user has, the tests also what trains the agent.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,23 +9,25 @@ IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
 
 .PHONY: demo test lint docs
 
-demo: $(VENV)/.stamp
+demo: $(VENV)/.core
 	@$(BIN)/binocal demo --output binocal-demo --force
 
 test: lint
 	$(BIN)/pytest
 
 lint: $(VENV)/.stamp
-	$(BIN)/ruff check src tests docs
+	$(BIN)/ruff check src tests docs examples
 	$(BIN)/lint-imports
 
 docs: $(VENV)/.stamp
 	$(BIN)/python docs/make_cli_reference.py
 	$(BIN)/python docs/make_picture.py
 
+PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
+  $(BIN)/python -m pip install --quiet --disable-pip-version-check
 KERNEL := CMakeLists.txt $(wildcard src/binocal/native/*.cpp src/binocal/native/*.hpp)
 
-$(VENV)/.stamp: pyproject.toml constraints.txt $(KERNEL)
+$(VENV)/.core: pyproject.toml constraints.txt $(KERNEL)
 	@if ! $(BIN)/python -c '$(IS_NEW_ENOUGH)' 2>/dev/null; then \
 	  found=; \
 	  for name in $(PYTHONS); do \
@@ -39,6 +42,9 @@ $(VENV)/.stamp: pyproject.toml constraints.txt $(KERNEL)
 	    exit 1; \
 	  fi; \
 	fi
-	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	$(PIP_INSTALL) -e .
+	@touch $@
+
+$(VENV)/.stamp: $(VENV)/.core
+	$(PIP_INSTALL) -e '.[test]'
 	@touch $@

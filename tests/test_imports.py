@@ -12,7 +12,7 @@ import pytest
 
 import binocal
 
-HEAVY = {"cv2", "scipy", "typer", "click", "rich", "pydantic", "torch", "matplotlib", "yaml"}
+HEAVY = {"cv2", "scipy", "typer", "click", "rich", "pydantic", "torch", "gymnasium", "matplotlib", "yaml"}
 
 
 def loaded_by(code: str) -> set[str]:

@@ -1,0 +1,1 @@
+"""Results as figures: draws, never computes. Matplotlib stays in this room."""

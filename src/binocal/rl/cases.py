@@ -1,0 +1,271 @@
+"""Simulated rigs on which agents train and are judged: corners, intrinsics that are held, starts, the robust optimum.
+
+A case is a rig with its detections. Its board poses start at the left camera's own robust optimum, as any pose solver
+would leave them; the rig starts off by a rotation and a share of the baseline that are drawn anew for every episode.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.boards import parse_board
+from binocal.cameras import camera_model
+from binocal.geometry import so3
+from binocal.native import ViewEquations
+from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses
+from binocal.solvers.bundle import (
+    BundleEquations,
+    BundleEstimate,
+    BundleProblem,
+    BundleStep,
+    CameraObservations,
+    linearize,
+    residual_lengths2,
+    shared_information,
+)
+from binocal.solvers.least_squares import LoopOptions, minimize
+from binocal.solvers.steering import LoopState
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MODEL = "brown4"
+SIZE_WH = (1280, 960)
+MAX_START_DRAWS = 60  # a start with a board behind the right camera is drawn again; of 70 deg starts one in five is
+
+
+@dataclass(frozen=True, slots=True)
+class CaseOptions:
+    """A distribution of rigs, pictures and starts. Ranges are uniform unless said otherwise."""
+
+    board: str = "chessboard:11x8:20mm"
+    n_views: int = 20
+    field_deg: tuple[float, float] = (38.0, 50.0)
+    """Horizontal field; the paper's rig has 43.6."""
+    baseline_m: tuple[float, float] = (0.05, 0.08)
+    poses: PoseOptions = field(default_factory=PoseOptions)
+    noise_px: tuple[float, float] = (0.1, 0.5)
+    outlier_share: tuple[float, float] = (0.0, 0.1)
+    outlier_px: tuple[float, float] = (2.0, 100.0)
+    """Log-uniform distance of an outlying corner from its place, in any direction."""
+    reversed_share: float = 0.0
+    """Share of right views whose corners come in reverse order."""
+    rotation_deg: tuple[float, float] = (0.0, 20.0)
+    """Angle of the start from the truth, about any axis."""
+    translation_share: tuple[float, float] = (0.0, 0.3)
+    """Distance of the start's translation from the truth over the baseline, in any direction."""
+
+
+_FAR = PoseOptions(fill=(0.15, 0.30), tilt_deg=(0.0, 12.0))  # 11x8 squares of 20 mm at 1 to 2 m
+
+CASE_SETS: dict[str, CaseOptions] = {
+    "standard": CaseOptions(),
+    "weak": CaseOptions(n_views=6, poses=_FAR),
+    "stress": CaseOptions(
+        n_views=12,
+        outlier_share=(0.1, 0.3),
+        reversed_share=0.2,
+        rotation_deg=(0.0, 70.0),
+        translation_share=(0.0, 1.0),
+    ),
+    "good start": CaseOptions(rotation_deg=(2.0, 2.0), translation_share=(0.05, 0.05)),
+    "unseen": CaseOptions(board="chessboard:9x6:35mm", n_views=14, field_deg=(60.0, 75.0), baseline_m=(0.12, 0.25)),
+}
+"""The sets on which every controller is judged. ``unseen`` has another focal length, board, view count and baseline."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cases:
+    """A batch of rigs with the same board and number of views; intrinsics are held at the truth.
+
+    ``whitening`` turns a left step from the optimum (rotation, translation) into standard deviations.
+    """
+
+    options: CaseOptions
+    problem: BundleProblem
+    optimum: BundleEstimate
+    left_poses: tuple[Float[ndarray, "rigs views 3 3"], Float[ndarray, "rigs views 3"]]
+    whitening: Float[ndarray, "rigs 6 6"]
+    noise_px: Float[ndarray, "rigs"]
+    has_truth: bool = True
+    """Whether rewards may look at the optimum; not with real pictures."""
+
+    @property
+    def n_rigs(self) -> int:
+        """Rigs of the batch."""
+        return len(self.noise_px)
+
+    def select(self, index: ndarray) -> Cases:
+        """Those rigs."""
+        return replace(
+            self,
+            problem=select_problem(self.problem, index),
+            optimum=take_rigs(self.optimum, index),
+            left_poses=(self.left_poses[0][index], self.left_poses[1][index]),
+            whitening=self.whitening[index],
+            noise_px=self.noise_px[index],
+        )
+
+
+def take_rigs(estimate: BundleEstimate, index: ndarray) -> BundleEstimate:
+    """The estimates of those rigs of a batch."""
+    return BundleEstimate(
+        tuple(p[index] for p in estimate.parameters),
+        estimate.R_left_board[index],
+        estimate.t_left_board[index],
+        None if estimate.R_right_left is None else estimate.R_right_left[index],
+        None if estimate.t_right_left is None else estimate.t_right_left[index],
+    )
+
+
+def sample_cases(options: CaseOptions, n_rigs: int, rng: np.random.Generator) -> Cases:
+    """Rigs of a distribution, each solved to its robust optimum from the truth."""
+    board = parse_board(options.board)
+    points = np.ascontiguousarray(board.object_points_m.T)
+    rigs, R, t, pixels = [], [], [], ([], [])
+    for _ in range(n_rigs):
+        rig = random_rig(
+            rng,
+            MODEL,
+            size_wh=SIZE_WH,
+            baseline_m=rng.uniform(*options.baseline_m),
+            field_deg=rng.uniform(*options.field_deg),
+        )
+        scene = StereoScene(rig, board, sample_board_poses(rig, board, options.n_views, rng, options.poses))
+        rigs.append(rig)
+        R.append(scene.T_left_board.R)
+        t.append(scene.T_left_board.t)
+        for side, px in zip(pixels, scene.project(), strict=True):
+            side.append(px)
+    noise_px = rng.uniform(*options.noise_px, n_rigs)
+    measured = [measure_corners(np.stack(px), noise_px, options, rng) for px in pixels]
+    n_reversed = round(options.reversed_share * options.n_views)
+    if n_reversed:
+        wrong = np.argsort(rng.random((n_rigs, options.n_views)), axis=1)[:, :n_reversed]
+        rows = np.arange(n_rigs)[:, None]
+        measured[1][rows, wrong] = measured[1][rows, wrong][:, :, ::-1]
+    model = camera_model(MODEL)
+    problem = BundleProblem(
+        points, tuple(CameraObservations.from_corners(model, px, intrinsics=False) for px in measured)
+    )
+    truth = BundleEstimate(
+        tuple(np.stack([getattr(rig, side).parameters for rig in rigs]) for side in ("left", "right")),
+        np.stack(R),
+        np.stack(t),
+        np.stack([rig.T_right_left.R for rig in rigs]),
+        np.stack([rig.T_right_left.t for rig in rigs]),
+    )
+    return solved_cases(options, problem, truth, noise_px)
+
+
+def solved_cases(
+    options: CaseOptions, problem: BundleProblem, truth: BundleEstimate, noise_px: Float[ndarray, "rigs"]
+) -> Cases:
+    """The cases of a problem whose solution is known well enough to start a classical solve at its optimum."""
+    tight = LoopOptions(tolerance_sigma=1e-3)
+    optimum = minimize(problem, truth, tight).estimate
+    left = replace(problem, cameras=problem.cameras[:1], is_rig_free=False)
+    alone = minimize(
+        left, BundleEstimate(truth.parameters[:1], truth.R_left_board, truth.t_left_board), LoopOptions()
+    ).estimate
+    information = shared_information(problem, optimum, linearize(problem, optimum, noise_px, "hampel"))
+    # the upper triangular factor: |whitening @ xi|² = xi' information xi / noise²
+    whitening = np.linalg.cholesky(information).swapaxes(-1, -2) / noise_px[:, None, None]
+    return Cases(options, problem, optimum, (alone.R_left_board, alone.t_left_board), whitening, noise_px)
+
+
+def measure_corners(
+    px: Float[ndarray, "rigs views n 2"],
+    noise_px: Float[ndarray, "rigs"],
+    options: CaseOptions,
+    rng: np.random.Generator,
+) -> Float[ndarray, "rigs views n 2"]:
+    """Noise on every coordinate, and outlying corners."""
+    out = px + noise_px[:, None, None, None] * rng.standard_normal(px.shape)
+    share = rng.uniform(*options.outlier_share, len(px))[:, None, None]
+    is_outlier = rng.random(px.shape[:-1]) < share
+    angle = rng.uniform(0, 2 * np.pi, px.shape[:-1])
+    distance = np.exp(rng.uniform(*np.log(options.outlier_px), px.shape[:-1]))
+    shift = distance[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.where(is_outlier[..., None], out + shift, out)
+
+
+def sample_starts(cases: Cases, rng: np.random.Generator) -> BundleEstimate:
+    """One start for each rig: left camera's own board poses, the rig off by the options' rotation and translation.
+
+    Starts that put a corner behind the right camera are drawn again; NaN where that never ended.
+    """
+    options, n = cases.options, cases.n_rigs
+    R, t = cases.optimum.R_right_left.copy(), cases.optimum.t_right_left.copy()
+    todo = np.arange(n)
+    for _ in range(MAX_START_DRAWS):
+        w = _directions(len(todo), rng) * np.radians(rng.uniform(*options.rotation_deg, (len(todo), 1)))
+        baseline = np.linalg.norm(cases.optimum.t_right_left[todo], axis=1, keepdims=True)
+        shift = _directions(len(todo), rng) * rng.uniform(*options.translation_share, (len(todo), 1)) * baseline
+        R[todo] = so3.exp(w) @ cases.optimum.R_right_left[todo]
+        t[todo] = cases.optimum.t_right_left[todo] + shift
+        start = replace(
+            cases.optimum,
+            R_left_board=cases.left_poses[0],
+            t_left_board=cases.left_poses[1],
+            R_right_left=R,
+            t_right_left=t,
+        )
+        part = cases.select(todo)
+        r2 = residual_lengths2(part.problem, take_rigs(start, todo))
+        todo = todo[~np.all([np.isfinite(side).all(axis=(1, 2)) for side in r2], axis=0)]
+        if not len(todo):
+            break
+    R[todo] = np.nan
+    return start
+
+
+def distance_sigma(cases: Cases, estimate: BundleEstimate) -> Float[ndarray, "rigs"]:
+    """Mahalanobis distance of R and T from the robust optimum, in standard deviations (norm over all six)."""
+    omega = so3.log(estimate.R_right_left @ cases.optimum.R_right_left.swapaxes(-1, -2))
+    tau = estimate.t_right_left - cases.optimum.t_right_left - np.cross(omega, cases.optimum.t_right_left)
+    xi = np.concatenate([omega, tau], axis=-1)
+    return np.linalg.norm((cases.whitening @ xi[..., None])[..., 0], axis=-1)
+
+
+def _directions(n: int, rng: np.random.Generator) -> Float[ndarray, "n 3"]:
+    v = rng.standard_normal((n, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def select_loop(state: LoopState, index: ndarray) -> LoopState:
+    """The solves of those rigs of a batch."""
+
+    def steps(step: BundleStep) -> BundleStep:
+        return BundleStep(
+            step.shared[index],
+            step.views[index],
+            step.predicted_px2[index],
+            step.gradient_px2[index],
+            step.least_pivot[index],
+        )
+
+    e = state.equations
+    cameras = tuple(ViewEquations(c.gram[index], c.r2_px2[index], c.cost_px2[index]) for c in e.cameras)
+    return LoopState(
+        take_rigs(state.estimate, index),
+        BundleEquations(cameras, e.cost_px2[index], e.prior_energy[index], e.scale_px[index]),
+        steps(state.newton),
+        state.scale_px[index],
+        state.mad_px[index],
+        state.is_kept[index],
+        state.gain[index],
+        state.previous_mad_px[index],
+        steps(state.previous_newton),
+        (state.home[0][index], state.home[1][index]),
+    )
+
+
+def select_problem(problem: BundleProblem, index: ndarray) -> BundleProblem:
+    """The measurements of those rigs of a batch."""
+    cameras = tuple(replace(c, pixels=c.pixels[index], is_seen=c.is_seen[index]) for c in problem.cameras)
+    return replace(problem, cameras=cameras)

@@ -1,0 +1,38 @@
+"""A run's checkpoint on disk: everything that going on needs, written aside and renamed."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from binocal.errors import FormatError
+from binocal.rl.training import Training
+
+VERSION = 1
+
+
+def save_checkpoint(training: Training, path: Path) -> None:
+    """Writes a checkpoint; a kill while writing leaves the one before."""
+    aside = path.with_name(path.name + ".part")
+    torch.save({"version": VERSION, **training.state()}, aside)
+    aside.replace(path)
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """What :func:`save_checkpoint` wrote, for :meth:`binocal.rl.training.Training.restore`.
+
+    Only open checkpoints of your own: the format can carry code.
+
+    Raises:
+        FormatError: The file is not a checkpoint of this version.
+    """
+    try:
+        state = torch.load(path, weights_only=False)
+    except (OSError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
+        raise FormatError(path, f"not a readable checkpoint ({error}).") from None
+    if not isinstance(state, dict) or state.get("version") != VERSION:
+        raise FormatError(path, "a checkpoint of another version; train anew.")
+    return state

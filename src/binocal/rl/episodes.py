@@ -1,0 +1,111 @@
+"""Episodes of a batch of rigs, from their starts to arrival or to the last step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.rl.cases import Cases, distance_sigma, select_loop
+from binocal.rl.task import (
+    MAX_STEPS,
+    ActionMeaning,
+    TaskState,
+    has_arrived,
+    has_arrived_without_truth,
+    initial,
+    observation,
+    reward,
+    reward_without_truth,
+    transition,
+)
+from binocal.solvers.bundle import BundleEstimate
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+COMPACTION_SHARE = 0.8  # a batch is packed when fewer of its rigs than this still run
+
+Policy = Callable[[ndarray], ndarray]
+"""From observations (rigs, o) to actions (rigs, a)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transitions:
+    """One step of every rig that still ran; ``rig`` says which of the cases it was."""
+
+    rig: Int[ndarray, "n"]
+    observation: Float[ndarray, "n o"]
+    action: Float[ndarray, "n a"]
+    reward: Float[ndarray, "n"]
+    following: Float[ndarray, "n o"]
+    is_terminal: Bool[ndarray, "n"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """How the episodes ended. Rigs that did not arrive count ``MAX_STEPS`` iterations; ``total_reward`` is discounted."""
+
+    n_iterations: Int[ndarray, "rigs"]
+    has_arrived: Bool[ndarray, "rigs"]
+    total_reward: Float[ndarray, "rigs"]
+
+
+def run_episodes(
+    cases: Cases,
+    start: BundleEstimate,
+    policy: Policy,
+    meaning: ActionMeaning,
+    *,
+    tolerance_sigma: float,
+    max_steps: int = MAX_STEPS,
+    discount: float = 1.0,
+    on_step: Callable[[Transitions], None] | None = None,
+) -> Outcome:
+    """Runs every case once. Rigs that arrived leave the batch."""
+    n_iterations = np.full(cases.n_rigs, MAX_STEPS)
+    arrived = np.zeros(cases.n_rigs, dtype=bool)
+    total = np.zeros(cases.n_rigs)
+    rig = np.arange(cases.n_rigs)
+    running = cases
+    state = initial(running.problem, start, meaning)
+    seen = observation(running.problem, state, meaning)
+    sigma = distance_sigma(running, state.loop.estimate)
+    for step in range(max_steps):
+        action = policy(seen)
+        before, state = state, transition(running.problem, state, action, meaning)
+        following = observation(running.problem, state, meaning)
+        after = distance_sigma(running, state.loop.estimate)
+        if cases.has_truth:
+            is_terminal = has_arrived(after, tolerance_sigma)
+            earned = reward(sigma, after, tolerance_sigma)
+        else:
+            is_terminal = has_arrived_without_truth(state)
+            earned = reward_without_truth(before, state)
+        is_live = ~arrived[rig]
+        total[rig[is_live]] += discount**step * earned[is_live]
+        if on_step is not None:
+            on_step(
+                Transitions(
+                    rig[is_live],
+                    seen[is_live],
+                    action[is_live],
+                    earned[is_live],
+                    following[is_live],
+                    is_terminal[is_live],
+                )
+            )
+        new = rig[is_live & is_terminal]
+        n_iterations[new], arrived[new] = step + 1, True
+        seen, sigma = following, after
+        is_live = ~arrived[rig]
+        if not is_live.any():
+            break
+        if is_live.mean() < COMPACTION_SHARE:
+            keep = np.flatnonzero(is_live)
+            running, rig, seen, sigma = running.select(keep), rig[keep], seen[keep], sigma[keep]
+            state = TaskState(select_loop(state.loop, keep), state.last_action[keep], state.n_steps[keep])
+    return Outcome(n_iterations, arrived, total)

@@ -1,0 +1,151 @@
+"""A trained actor without PyTorch: weights from a safetensors file, inference in NumPy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.errors import FormatError
+from binocal.rl.task import (
+    ActionMeaning,
+    TaskState,
+    increment_action,
+    n_actions,
+    observation,
+    observation_names,
+    steering_action,
+)
+from binocal.solvers.bundle import BundleProblem
+from binocal.solvers.controllers import Memory
+from binocal.solvers.steering import Action, LoopState
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+SHIPPED: dict[str, str] = {"steering": "drl.safetensors", "increments": "drl_increments.safetensors"}
+LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps
+OBSERVATION_LIMIT = 5.0  # in units of the spread, as in training
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Policy:
+    """An actor: ``layers`` of (weight (out, in), bias (out)), ReLU between them, tanh after the last.
+
+    ``card`` is what is known of its training.
+    """
+
+    meaning: ActionMeaning
+    mean: Float[ndarray, "o"]
+    spread: Float[ndarray, "o"]
+    layers: tuple[tuple[Float[ndarray, "out in"], Float[ndarray, "out"]], ...]
+    card: Mapping[str, Any]
+
+    def __call__(self, observed: Float[ndarray, "*batch o"]) -> Float[ndarray, "*batch a"]:
+        """Actions in [-1, 1]; NaN where the weights are."""
+        x = (observed - self.mean) / self.spread
+        x = np.minimum(np.maximum(x, -OBSERVATION_LIMIT), OBSERVATION_LIMIT)
+        *hidden, (weight, bias) = self.layers
+        for w, b in hidden:
+            x = np.maximum(x @ w.T + b, 0.0)
+        return np.tanh(x @ weight.T + bias)
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedController:
+    """A policy as a controller of the robust loop (:class:`binocal.solvers.controllers.Controller`)."""
+
+    policy: Policy
+
+    def start(self, batch: tuple[int, ...]) -> Memory:
+        """See the protocol."""
+        return {
+            "last_action": np.zeros((*batch, n_actions(self.policy.meaning))),
+            "n_steps": np.zeros(batch, dtype=int),
+            "n_rejected": np.zeros(batch, dtype=int),
+        }
+
+    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
+        """See the protocol. Where the policy's numbers are not finite, neither is the damping, and the guards take over."""
+        meaning = self.policy.meaning
+        seen = observation(problem, TaskState(state, memory["last_action"], memory["n_steps"]), meaning)
+        raw = self.policy(seen)
+        n_rejected = np.where(state.is_kept, 0, memory["n_rejected"] + 1)
+        is_sound = np.isfinite(raw).all(axis=-1)
+        action = steering_action(raw, state) if meaning == "steering" else increment_action(problem, state, raw)
+        if not is_sound.all():
+            action = replace(action, damping=np.where(is_sound, action.damping, np.nan))
+            raw = np.where(is_sound[..., None], raw, 0.0)
+        if n_rejected.any():  # not learned: every rejection in a row raises the damping
+            least = np.where(n_rejected > 0, LEAST_RAISED_DAMPING * RAISE ** (n_rejected - 1.0), 0.0)
+            action = replace(action, damping=np.maximum(action.damping, least))
+        return action, {"last_action": raw, "n_steps": memory["n_steps"] + 1, "n_rejected": n_rejected}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConstantController:
+    """The same steering action in every iteration, whatever the state."""
+
+    action: Float[ndarray, "a"]
+
+    def start(self, batch: tuple[int, ...]) -> Memory:
+        """See the protocol."""
+        return {"n_steps": np.zeros(batch, dtype=int)}
+
+    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
+        """See the protocol."""
+        return steering_action(np.broadcast_to(self.action, (*state.mad_px.shape, len(self.action))), state), memory
+
+
+def load_policy(path: str | Path) -> Policy:
+    """A policy from a safetensors file written by :func:`save_policy`.
+
+    Raises:
+        FormatError: The file is not one, or its shapes do not fit this version's observation.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(str(path), framework="numpy") as file:
+            arrays = {name: file.get_tensor(name).astype(float) for name in file.keys()}  # noqa: SIM118 - not a dict
+            metadata = file.metadata() or {}
+    except (OSError, SafetensorError) as error:
+        raise FormatError(path, f"not a readable safetensors file ({error}).") from None
+    try:
+        meaning: ActionMeaning = metadata["meaning"]
+        names = observation_names(meaning)
+        n_layers = sum(name.startswith("weight") for name in arrays)
+        layers = tuple((arrays[f"weight{i}"], arrays[f"bias{i}"]) for i in range(n_layers))
+        policy = Policy(meaning, arrays["mean"], arrays["spread"], layers, json.loads(metadata["card"]))
+    except (KeyError, json.JSONDecodeError) as error:
+        raise FormatError(path, f"not binocal's weights ({error} missing or unreadable).") from None
+    sizes = [policy.mean.shape[0], *(w.shape[0] for w, _ in layers)]
+    fits = all(w.shape == (b, a) for (w, _), a, b in zip(layers, sizes[:-1], sizes[1:], strict=True))
+    if not fits or sizes[0] != len(names) or sizes[-1] != n_actions(meaning):
+        raise FormatError(path, "weights for another version of the observation; train again.")
+    return policy
+
+
+def save_policy(policy: Policy, path: str | Path) -> None:
+    """Writes the weights in single precision, with their card as metadata."""
+    from safetensors.numpy import save_file
+
+    arrays = {"mean": policy.mean, "spread": policy.spread}
+    for i, (weight, bias) in enumerate(policy.layers):
+        arrays |= {f"weight{i}": weight, f"bias{i}": bias}
+    single = {name: np.ascontiguousarray(a, dtype=np.float32) for name, a in arrays.items()}
+    save_file(single, str(path), metadata={"meaning": policy.meaning, "card": json.dumps(policy.card, sort_keys=True)})
+
+
+@cache
+def shipped_policy(meaning: ActionMeaning = "steering") -> Policy:
+    """The policy that comes with binocal."""
+    with resources.as_file(resources.files("binocal.rl") / "weights" / SHIPPED[meaning]) as path:
+        return load_policy(path)

@@ -1,0 +1,63 @@
+"""Training cases from real detections: many small calibrations drawn from the views of one rig.
+
+No truth is known and rewards look at none (:func:`binocal.rl.task.reward_without_truth`); the calibration of these very views
+supplies the intrinsics that are held, and the place around which starts are drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from binocal.cameras import camera_model
+from binocal.errors import TooFewViewsError
+from binocal.result import StereoCalibration
+from binocal.rl.cases import CASE_SETS, CaseOptions, Cases, solved_cases
+from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
+
+MIN_VIEWS_PER_CASE = 3
+MAX_VIEWS_PER_CASE = 12
+
+
+def cases_from_calibration(calibration: StereoCalibration, n_cases: int, rng: np.random.Generator) -> Cases:
+    """Random subsets of the calibration's views, half of them at a time, each a rig of its own.
+
+    Raises:
+        TooFewViewsError: Fewer than six views: a half would not hold three.
+        ValueError: The calibration holds no corners (it was read from a file).
+    """
+    if calibration.evidence is None:
+        raise ValueError("a calibration read from a file holds no corners to train on")
+    detections, poses = calibration.evidence.detections, calibration.evidence.T_left_board
+    n_views = min(detections.n_views // 2, MAX_VIEWS_PER_CASE)
+    if n_views < MIN_VIEWS_PER_CASE:
+        raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_CASE)
+    pick = np.argsort(rng.random((n_cases, detections.n_views)), axis=1)[:, :n_views]
+    rig = calibration.rig
+    cameras = tuple(
+        CameraObservations.from_corners(camera_model(camera.model), px[pick], intrinsics=False)
+        for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px))
+    )
+    problem = BundleProblem(np.ascontiguousarray(detections.object_points_m.T), cameras)
+    known = BundleEstimate(
+        tuple(np.tile(camera.parameters, (n_cases, 1)) for camera in (rig.left, rig.right)),
+        poses.R[pick],
+        poses.t[pick],
+        np.tile(rig.T_right_left.R, (n_cases, 1, 1)),
+        np.tile(rig.T_right_left.t, (n_cases, 1)),
+    )
+    options: CaseOptions = replace(CASE_SETS["standard"], n_views=n_views)
+    cases = solved_cases(options, problem, known, np.full(n_cases, calibration.noise_px))
+    return replace(cases, has_truth=False)
+
+
+def network_widths(n_views: int) -> tuple[int, ...]:
+    """Layers and nodes by the amount of training data (the paper's second step).
+
+    A layer of 16 nodes up to 12 views, two of 32 up to 48, two of 64 beyond: a few hundred views tell more solves apart than
+    a dozen. The rule is ours; the paper states none.
+    """
+    if n_views <= 12:
+        return (16,)
+    return (32, 32) if n_views <= 48 else (64, 64)

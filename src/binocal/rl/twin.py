@@ -1,0 +1,110 @@
+"""The supervised twin: the same actor, taught by a search instead of by a critic.
+
+In every state that the pupil meets, a number of actions around its own and at random are tried on the simulated rig, and the one
+that leaves the shortest way to the optimum is the lesson. It needs the truth of every rig and several evaluations of each
+step, which the actor-critic does not; it looks one step ahead only, which the actor-critic does not either.
+Source: Ross, Gordon & Bagnell 2011, "A reduction of imitation learning and structured prediction to no-regret online
+learning" (DAgger: the pupil's own states, the teacher's actions).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy import ndarray
+
+from binocal.rl.cases import Cases, distance_sigma, sample_starts, select_loop
+from binocal.rl.networks import Actor
+from binocal.rl.policy import Policy
+from binocal.rl.replay import ReplayBuffer
+from binocal.rl.task import TaskState, initial, n_actions, observation, observation_names, transition
+from binocal.rl.td3 import TD3Options
+from binocal.rl.training import CENTRES, MAX_TRAINING_STEPS, TrainingOptions, policy_of
+
+N_TRIED = 16  # actions tried in each state
+SEARCH_SPREAD = 0.3
+UPDATES_PER_STEP = 4
+LEAST_GAIN_DECADES = 0.02  # a better action than this is no lesson: noise of the search
+
+
+class Imitation:
+    """A run of the twin: pupil, lessons, generators."""
+
+    def __init__(self, options: TrainingOptions, pools: list[tuple[Cases, float]]) -> None:
+        self.options, self.pools = options, pools
+        torch.manual_seed(options.seed)
+        td3: TD3Options = options.td3
+        n_observed, n = len(observation_names(options.meaning)), n_actions(options.meaning)
+        self.actor = Actor(n_observed, n, td3.actor_widths, CENTRES[options.meaning])
+        self.optimiser = torch.optim.Adam(self.actor.parameters(), lr=td3.learning_rate)
+        self.rng = np.random.default_rng([options.seed, 4])
+        self.lessons = ReplayBuffer(options.capacity, n_observed, n)
+        self.n_steps, self.n_generations = 0, 0
+
+    def generation(self) -> None:
+        """One pool's episodes: search in every state, then learn from all lessons so far."""
+        pool, tolerance = self.pools[self.n_generations % len(self.pools)]
+        cases = pool.select(self.rng.permutation(pool.n_rigs)[: self.options.rigs_per_generation])
+        meaning = self.options.meaning
+        state = initial(cases.problem, sample_starts(cases, self.rng), meaning)
+        for _ in range(MAX_TRAINING_STEPS):
+            seen = observation(cases.problem, state, meaning)
+            taught, following = self._search(cases, state, seen, tolerance)
+            nothing = np.zeros(len(seen))
+            self.lessons.add(seen, taught, nothing, np.zeros_like(seen), nothing > 0)
+            if self.n_generations == 0:
+                self._normalise()
+            keep = np.flatnonzero(distance_sigma(cases, following.loop.estimate) > tolerance)
+            if not len(keep):
+                break
+            cases = cases.select(keep)
+            state = TaskState(select_loop(following.loop, keep), following.last_action[keep], following.n_steps[keep])
+            self._learn(UPDATES_PER_STEP)
+        self.n_generations += 1
+
+    def weights(self) -> dict[str, Any]:
+        """The pupil's weights."""
+        return {name: value.clone() for name, value in self.actor.state_dict().items()}
+
+    def policy(self) -> Policy:
+        """The pupil as a policy."""
+        return policy_of(self.options.meaning, self.weights(), {})
+
+    def _search(self, cases: Cases, state: TaskState, seen: ndarray, tolerance: float) -> tuple[ndarray, TaskState]:
+        """The best action tried for each rig, and the state that the pupil's own action leads to."""
+        with torch.no_grad():
+            own = self.actor(torch.as_tensor(seen, dtype=torch.float32)).numpy().astype(float)
+        following = transition(cases.problem, state, own, self.options.meaning)
+        best_action, best = own, _decades(cases, following, tolerance) - LEAST_GAIN_DECADES
+        for trial in range(1, N_TRIED):
+            if trial % 4:
+                action = np.clip(own + SEARCH_SPREAD * self.rng.standard_normal(own.shape), -1, 1)
+            else:
+                action = self.rng.uniform(-1, 1, own.shape)
+            left = _decades(cases, transition(cases.problem, state, action, self.options.meaning), tolerance)
+            is_better = left < best
+            best_action = np.where(is_better[:, None], action, best_action)
+            best = np.where(is_better, left, best)
+        self.n_steps += N_TRIED * len(own)
+        return best_action, following
+
+    def _normalise(self) -> None:
+        values = torch.as_tensor(self.lessons.observation[: len(self.lessons)])
+        self.actor.mean.copy_(values.mean(dim=0))
+        self.actor.spread.copy_(values.std(dim=0).clamp_min(1e-2))
+
+    def _learn(self, n_updates: int) -> None:
+        for _ in range(n_updates):
+            observed, action, *_ = self.lessons.sample(self.options.batch_size, self.rng)
+            loss = torch.nn.functional.mse_loss(self.actor(torch.as_tensor(observed)), torch.as_tensor(action))
+            self.optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            self.optimiser.step()
+
+
+def _decades(cases: Cases, state: TaskState, tolerance: float) -> ndarray:
+    """Decades that are left to the tolerance."""
+    sigma = np.nan_to_num(distance_sigma(cases, state.loop.estimate), nan=1e8)
+    return np.log10(np.maximum(sigma, tolerance) / tolerance)
