@@ -71,7 +71,7 @@ class Rooms:
         self.calibrate: Callable[..., StereoCalibration] = self._calibrate
         self.calls: dict[str, Any] = {}
         rooms = {
-            "binocal.calibrators": {"calibrate": self._call_calibrate, "CALIBRATORS": {"lm": lambda: self.calibrate}},
+            "binocal.calibrators": {"calibrate": self._call_calibrate, "CALIBRATORS": {"drl": lambda: self.calibrate}},
             "binocal.calibrators.view_selection": {"select_views": self._select_views},
             "binocal.datasets": {},
             "binocal.datasets.folder": {"list_pairs": self._list_pairs},

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from binocal import app
+from binocal.benchmark.agent import largest_difference_sigma
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.errors import BinocalError
@@ -70,6 +71,17 @@ def test_a_real_set_calibrates_by_one_call(data_dir, name):
     assert len(calibration.views) >= n_views
     assert all(r.reason for r in calibration.rejected)
     assert "reason" in calibration.provenance["model_choice"]
+
+
+@pytest.mark.parametrize("name", list(SETS))
+def test_the_agent_gives_the_rig_of_the_classical_solve(data_dir, name):
+    # measured: 0.0015 sigma at most
+    detections = run_set(data_dir, name, "brown5").evidence.detections
+    lm, drl = (calibrate(detections, calibrator=method, model="brown5") for method in ("lm", "drl"))
+    print(
+        f"{name}: iterations {lm.n_iterations} lm, {drl.n_iterations} drl; {largest_difference_sigma(lm, drl):.4f} sigma apart"
+    )
+    assert largest_difference_sigma(lm, drl) < 0.01
 
 
 @pytest.mark.parametrize("name", list(SETS))

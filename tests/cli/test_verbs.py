@@ -6,6 +6,7 @@ import os
 import pytest
 
 from binocal import app, errors
+from binocal.boards import Board
 from binocal.cameras import CAMERA_MODELS
 from binocal.cli import main
 from binocal.cli.verbs import Model
@@ -52,7 +53,7 @@ def test_json_is_exactly_one_document(rooms, capsys):
 def test_options_reach_the_calibrator(rooms, capsys):
     assert main([*CALIBRATE, "--model", "brown5", "--skew", "--seed", "3", "--preprocess"]) == 0
     options = rooms.calls["calibrate"]
-    assert (options["model"], options["skew"], options["seed"], options["calibrator"]) == ("brown5", True, 3, "lm")
+    assert (options["model"], options["skew"], options["seed"], options["calibrator"]) == ("brown5", True, 3, "drl")
     assert rooms.calls["preprocess"] is True
 
 
@@ -182,9 +183,7 @@ def test_simulate_then_evaluate_against_the_truth(rooms, capsys):
 
 
 def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
-    native.write_calibration(
-        "rig.json", app.calibrate_pictures("l", "r", app.Board.from_spec(CALIBRATE[-1])).calibration
-    )
+    native.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["simulate", "--rig", "rig.json", "--board", "chessboard:11x8:10mm", "--pairs", "2", "--output", "out"]
     assert main([*arguments, "--json"]) == 0
     document = one_document(capsys)
@@ -194,9 +193,7 @@ def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
 
 
 def test_evaluate_on_pictures(rooms, capsys):
-    native.write_calibration(
-        "rig.json", app.calibrate_pictures("l", "r", app.Board.from_spec(CALIBRATE[-1])).calibration
-    )
+    native.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["evaluate", "rig.json", *CALIBRATE[1:]]
     assert main(arguments) == 0
     out = capsys.readouterr().out
@@ -228,3 +225,26 @@ def test_unknown_scale_is_in_squares(rooms, capsys):
     assert main(CALIBRATE) == 0
     out = capsys.readouterr().out
     assert "squares" in out and " mm" not in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["--agent", "dqn"], "--agent is 'dqn'; known: drl, drl-increments"),
+        (["--targets", "medium"], "--targets is 'medium'; known: soft, hard"),
+        (["--layers", "64,x"], "--layers is '64,x'"),
+        (["--data", "pictures"], "--data and --board"),
+    ],
+)
+def test_train_says_what_is_wrong_before_any_work(tmp_path, monkeypatch, capsys, arguments, problem):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *arguments]) == 2
+    assert problem in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_train_leaves_other_files_alone(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("torch", reason="training needs the train extra")
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["train", "--output", str(tmp_path), "--steps", "10"]) == 3
+    assert "notes.txt" not in os.listdir(tmp_path.parent) and (tmp_path / "notes.txt").read_text() == "mine"
+    assert str(tmp_path) in capsys.readouterr().err

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.calibrators import calibrate, lm
+from binocal.calibrators import CalibrationOptions, calibrate, joint
 from binocal.geometry import so3
 from binocal.initialization.clean_start import estimate_clean_start
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
+from binocal.solvers.least_squares import minimize
 
 BOARD = parse_board("chessboard:11x8:20mm")
 
@@ -44,10 +45,10 @@ def test_what_does_not_look_clean_gets_no_start(what):
 
 def test_a_clean_set_goes_the_short_way_and_ends_where_the_long_one_does(monkeypatch):
     _, detections = make_views()
-    monkeypatch.setattr(lm, "diagnose_views", None)  # the short way never asks
+    monkeypatch.setattr(joint, "diagnose_views", None)  # the short way never asks
     short = calibrate(detections, model="brown5")
     monkeypatch.undo()
-    monkeypatch.setattr(lm, "_calibrate_clean", lambda *_: None)
+    monkeypatch.setattr(joint, "_calibrate_clean", lambda *_: None)
     long = calibrate(detections, model="brown5")
     # equal to 0.02 sigma, the solver's own tolerance; measured 0.002
     apart = (short.rig.left.parameters - long.rig.left.parameters)[[0, 1, 2, 3]]
@@ -69,5 +70,8 @@ def test_a_doubtful_set_goes_the_long_way(what):
         right[4] = right[4, :1] + np.linspace(0, 1, 88)[:, None] * [300.0, 100.0]
     else:
         right[[4, 5]] = right[[5, 4]]
-    assert lm._calibrate_clean(replace(detections, right_px=right), lm.CalibrationOptions("brown5")) is None
-    assert lm._calibrate_clean(detections, lm.CalibrationOptions("brown5")) is not None
+    assert (
+        joint._calibrate_clean(replace(detections, right_px=right), CalibrationOptions("brown5"), "lm", minimize)
+        is None
+    )
+    assert joint._calibrate_clean(detections, CalibrationOptions("brown5"), "lm", minimize) is not None

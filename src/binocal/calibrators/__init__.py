@@ -13,7 +13,7 @@ __all__ = ["CALIBRATORS", "MIN_VIEWS", "CalibrationOptions", "Calibrator", "cali
 def calibrate(
     detections: Detections,
     *,
-    calibrator: str = "lm",
+    calibrator: str = "drl",
     model: str = "brown4",
     skew: bool = False,
     seed: int = 0,

@@ -13,7 +13,19 @@ def _lm() -> Calibrator:
     return calibrate_lm
 
 
-CALIBRATORS: dict[str, Callable[[], Calibrator]] = {"lm": _lm}
+def _drl() -> Calibrator:
+    from binocal.calibrators.learned import calibrate_drl
+
+    return calibrate_drl
+
+
+def _drl_increments() -> Calibrator:
+    from binocal.calibrators.learned import calibrate_drl_increments
+
+    return calibrate_drl_increments
+
+
+CALIBRATORS: dict[str, Callable[[], Calibrator]] = {"drl": _drl, "drl-increments": _drl_increments, "lm": _lm}
 
 
 def load_calibrator(name: str) -> Calibrator:

@@ -74,7 +74,7 @@ def select_views(
     detections: Detections,
     most: int,
     *,
-    calibrator: str = "lm",
+    calibrator: str = "drl",
     model: str = "brown4",
     skew: bool = False,
     seed: int = 0,

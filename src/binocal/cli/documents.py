@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TruthEvaluation
+from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TrainedAgent, TruthEvaluation
 from binocal.formats import native
 
 
@@ -98,4 +99,22 @@ def demo_document(cases: Sequence[DemoCase]) -> dict[str, Any]:
             | truth_document(case.evaluation)
             for case in cases
         ]
+    }
+
+
+def training_document(trained: TrainedAgent) -> dict[str, Any]:
+    """A training run: where it lies, how it went, its evaluation table."""
+    run = trained.run
+    half = trained.test_half
+    return {
+        "output": str(run.folder),
+        "agent": run.policy.card["agent"],
+        "n_steps": run.n_steps,
+        "elapsed_s": run.elapsed_s,
+        "is_complete": run.is_complete,
+        "was_resumed": run.was_resumed,
+        "checks": [asdict(check) for check in run.checks],
+        "rows": [asdict(row) for row in run.rows],
+        "figure": None if trained.figure is None else str(trained.figure),
+        "test_half": None if half is None else native.calibration_document(half),
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TruthEvaluation
+from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TrainedAgent, TruthEvaluation
 from binocal.cameras import StereoRig, camera_model
 from binocal.cli.exits import one_line
 from binocal.metrics.pose import ParameterError
@@ -45,6 +45,7 @@ def calibration_text(
     choice = calibration.provenance.get("model_choice")
     if choice:
         lines.append(f"Model    {one_line(choice['reason'])}")
+    lines += _agent_lines(calibration)
     lines += _view_lines(calibration)
     if run.ignored:
         lines.append(f"Files    {len(run.ignored)} ignored (listed above, on stderr)")
@@ -54,6 +55,20 @@ def calibration_text(
         )
     written = f"{output}" if opencv is None else f"{output} and {opencv}"
     return "\n".join([*lines, f"Wrote    {written}"])
+
+
+def _agent_lines(calibration: StereoCalibration) -> list[str]:
+    """What the agent did, and which guard took over, if one did."""
+    agent = calibration.provenance.get("agent")
+    if not agent:
+        return []
+    led, all_of_them = agent["iterations"], calibration.n_iterations
+    if not led and not any(solve["handed_over"] for solve in agent["solves"]):
+        return ["Agent    not needed: the start was near enough for plain steps"]
+    left = max((solve["remaining_sigma"] for solve in agent["solves"]), default=0.0)
+    guards = sorted({solve["handed_over"] for solve in agent["solves"] if solve["handed_over"]})
+    line = f"Agent    led {led} of {all_of_them} iterations, to {left:.2g} sigma from the classical optimum, which the rest reached"
+    return [line, *(f"         a guard took over: {one_line(guard)}" for guard in guards)]
 
 
 def truth_text(evaluation: TruthEvaluation) -> str:
@@ -107,6 +122,43 @@ def demo_text(cases: Sequence[DemoCase], output: Path) -> str:
             "",
         ]
     return "\n".join([*lines, f"Wrote pictures, truth.json and rig.json of both boards into {output}"])
+
+
+def training_text(trained: TrainedAgent) -> str:
+    """How a run went: held-out checks, the evaluation table, where the files lie."""
+    run = trained.run
+    lines = [] if not run.was_resumed else ["went on with the run that was cut here", ""]
+    rows = [
+        (
+            f"{check.n_steps}",
+            f"{check.critic_loss:.3f}",
+            f"{check.value_predicted:.2f} / {check.value_returned:.2f}",
+            f"{check.target_lag:.4f}",
+            " ".join(f"{value:.2f}" for value in check.iterations),
+            " ".join(f"{100 * value:.0f}" for value in check.success),
+        )
+        for check in run.checks
+    ]
+    head = ("steps", "critic loss", "value / return", "target lag", "held-out iterations", "arrived, %")
+    lines += [format_table(head, rows), ""]
+    if run.rows:
+        evaluated = [
+            (row.set_name, row.controller, f"{row.mean:.2f}", f"{row.p95:.0f}", f"{100 * row.arrived:.1f} %")
+            for row in run.rows
+        ]
+        lines += [format_table(("set", "controller", "mean iterations", "95 %", "arrived"), evaluated, "llrrr"), ""]
+    if trained.test_half is not None:
+        rig = trained.test_half.rig
+        lines += [
+            f"second half: baseline {rig.baseline_m * 1e3:.3f} mm, RMS {trained.test_half.rms.all_px:.3f} px, "
+            f"{trained.test_half.n_iterations} iterations",
+            "",
+        ]
+    rate = run.n_steps / max(run.elapsed_s, 1e-9)
+    lines.append(f"{run.n_steps} steps in {run.elapsed_s:.0f} s ({rate:.0f} per second, gradient steps included)")
+    if not run.is_complete:
+        lines.append("Not all steps were taken; the same command goes on from here")
+    return "\n".join([*lines, f"Wrote weights, card, history and table into {run.folder}"])
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align: str = "") -> str:

@@ -91,7 +91,7 @@ def calibrate(
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "rig.json"
     ),
-    calibrator: Annotated[str, typer.Option("--calibrator", help="Method.", metavar="NAME")] = "lm",
+    calibrator: Annotated[str, typer.Option("--calibrator", help="Method.", metavar="NAME")] = "drl",
     model: Annotated[
         Model, typer.Option("--model", help="Camera model; auto picks by held-out error.", metavar=MODELS)
     ] = Model.auto,
@@ -227,6 +227,70 @@ def evaluate(
 
 
 @app.command()
+def train(
+    output: Annotated[
+        Path, typer.Option("--output", help="Folder for checkpoints, weights, card.", metavar="DIR")
+    ] = Path("binocal-agent"),
+    agent: Annotated[
+        str, typer.Option("--agent", help="drl steers the solver, drl-increments changes R, T itself.", metavar="NAME")
+    ] = "drl",
+    targets: Annotated[
+        str,
+        typer.Option("--targets", help="How target networks follow: soft (Polyak) or hard (copies).", metavar="MODE"),
+    ] = "soft",
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            "--steps",
+            help="Steps of single rigs (default: as the shipped agent); so many give the same weights.",
+            metavar="N",
+            min=1,
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", help="Stop training after so long; the same command goes on.", metavar="S", min=0.0),
+    ] = None,
+    layers: Annotated[
+        str | None, typer.Option("--layers", help="Nodes of the actor's hidden layers, such as 64,64.", metavar="N,N")
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option("--data", help="Train on real pictures: a folder with left* and right* inside.", metavar="DIR"),
+    ] = None,
+    board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    rigs: Annotated[
+        int,
+        typer.Option("--rigs", help="Unseen rigs of each evaluation set; 0 leaves the table out.", metavar="N", min=0),
+    ] = 1000,
+    seed: Seed = 0,
+    force: Force = False,
+    json: Json = False,
+) -> int:
+    """Train an agent on simulated rigs or real pictures; started again in the same folder, it goes on where it was."""
+    from binocal import app as verbs
+    from binocal.cli import documents, tables
+    from binocal.cli.progress import progress_on_terminal
+
+    if (data is None) != (board is None):
+        raise typer.BadParameter("real pictures need both --data and --board.")
+    options = verbs.TrainOptions(
+        _one_of("--agent", agent, ("drl", "drl-increments")),
+        _one_of("--targets", targets, ("soft", "hard")),
+        steps,
+        seconds,
+        _parse_layers(layers),
+        rigs,
+        seed,
+    )
+    parsed = None if board is None else _parse_board(board)
+    with progress_on_terminal() as progress:
+        trained = verbs.train(output, options, data=data, board=parsed, force=force, progress=progress)
+    _present(documents.training_document(trained), tables.training_text(trained), json)
+    return FINE
+
+
+@app.command()
 def bench(
     name: Annotated[str, typer.Argument(help="Which benchmark, such as solver.", metavar="NAME")],
     seed: Seed = 0,
@@ -266,3 +330,21 @@ def _check_calibrator(name: str) -> None:
 
     if name not in CALIBRATORS:
         raise typer.BadParameter(f"unknown calibrator {name!r}; known: {', '.join(CALIBRATORS)}")
+
+
+def _one_of(option: str, value: str, known: tuple[str, ...]) -> str:
+    if value not in known:
+        raise typer.BadParameter(f"{option} is {value!r}; known: {', '.join(known)}")
+    return value
+
+
+def _parse_layers(text: str | None) -> tuple[int, ...] | None:
+    if text is None:
+        return None
+    try:
+        widths = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        widths = ()
+    if not widths or min(widths) < 1:
+        raise typer.BadParameter(f"--layers is {text!r}; give whole numbers with commas, such as 64,64")
+    return widths

@@ -1,8 +1,4 @@
-"""The product's verbs: calibrate, simulate, evaluate, demo. The one list that every shell shares.
-
-Each verb takes plain values, returns one, and neither prints nor reads the environment. Progress goes out through
-``progress(stage, done, total)``; a run is cancelled by ``should_stop()`` returning True.
-"""
+"""The verbs of the road: from pictures to a rig, and what is known of it."""
 
 from __future__ import annotations
 
@@ -51,7 +47,7 @@ class CalibrateOptions:
     With ``max_views`` only the views that tell most about depth are used, at most so many.
     """
 
-    calibrator: str = "lm"
+    calibrator: str = "drl"
     model: str = "auto"
     skew: bool = False
     preprocess: bool = False
@@ -398,6 +394,17 @@ def _detect(
             preprocess=preprocess,
         )
     return _Found(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
+
+
+def detect_corners(
+    left: str, right: str, board: Board, *, progress: Progress | None = None, should_stop: ShouldStop | None = None
+) -> Detections:
+    """The corners of all pairs in which the board was found.
+
+    Raises:
+        DataError: The pictures cannot be used.
+    """
+    return _detect(left, right, board, False, progress, should_stop).detections
 
 
 @contextlib.contextmanager

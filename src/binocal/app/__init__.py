@@ -1,0 +1,47 @@
+"""The product's verbs: calibrate, simulate, evaluate, demo, train. The one list that every shell shares.
+
+Each verb takes plain values, returns one, and neither prints nor reads the environment. Progress goes out through
+``progress(stage, done, total)``; a run is cancelled by ``should_stop()`` returning True.
+"""
+
+from __future__ import annotations
+
+from binocal.app.road import (
+    CalibrateOptions,
+    CalibrationRun,
+    DemoCase,
+    PictureEvaluation,
+    Progress,
+    ShouldStop,
+    SimulateOptions,
+    TruthEvaluation,
+    calibrate_pictures,
+    check_output_folder,
+    demo,
+    evaluate_pictures,
+    evaluate_truth,
+    simulate,
+    staged_folder,
+)
+from binocal.app.training import TrainedAgent, TrainOptions, train
+
+__all__ = [
+    "CalibrateOptions",
+    "CalibrationRun",
+    "DemoCase",
+    "PictureEvaluation",
+    "Progress",
+    "ShouldStop",
+    "SimulateOptions",
+    "TrainOptions",
+    "TrainedAgent",
+    "TruthEvaluation",
+    "calibrate_pictures",
+    "check_output_folder",
+    "demo",
+    "evaluate_pictures",
+    "evaluate_truth",
+    "simulate",
+    "staged_folder",
+    "train",
+]

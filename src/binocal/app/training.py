@@ -1,0 +1,157 @@
+"""Training an agent, on simulated rigs or on pictures of a real one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from binocal import __version__
+from binocal.app.road import Progress, ShouldStop, detect_corners
+from binocal.boards import Board
+from binocal.detections import Detections
+from binocal.errors import MissingExtraError, TooFewViewsError
+from binocal.result import StereoCalibration
+
+if TYPE_CHECKING:
+    from binocal.rl.session import TrainingRun
+    from binocal.rl.training import TrainingOptions
+
+MIN_VIEWS_PER_HALF = 6  # a half must hold cases of three views, each a half of it
+REAL_CASES = 256
+MODEL_OF_REAL_RIGS = "brown4"
+
+
+@dataclass(frozen=True, slots=True)
+class TrainOptions:
+    """How to train: which agent, targets, steps of single rigs, a time limit, nodes per layer, evaluation rigs, seed.
+
+    Without ``n_steps`` as many as the shipped agent took.
+    """
+
+    agent: str = "drl"
+    targets: str = "soft"
+    n_steps: int | None = None
+    seconds: float | None = None
+    widths: tuple[int, ...] | None = None
+    n_rigs: int = 1000
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainedAgent:
+    """A run, and with real pictures the calibration of their second half by the agent that the first half trained."""
+
+    run: TrainingRun
+    test_half: StereoCalibration | None = None
+    figure: Path | None = None
+
+
+def train(
+    output: str | Path,
+    options: TrainOptions | None = None,
+    *,
+    data: str | Path | None = None,
+    board: Board | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+) -> TrainedAgent:
+    """Train an agent into ``output``; a run that was cut there goes on where it was.
+
+    With ``data``, a folder of left* and right* pictures of ``board``: the first half of the pairs trains, with a reward that
+    needs no truth, the second half is calibrated with the agent (the paper's steps 1 and 6).
+
+    Raises:
+        MissingExtraError: PyTorch is not installed.
+        OutputExistsError: ``output`` holds other files than a run's, or a complete run, and ``force`` is False.
+        DataError: The pictures cannot be used, or the run in ``output`` had other options.
+    """
+    options = options or TrainOptions()
+    try:
+        from binocal.rl import session
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise MissingExtraError("training", "train") from None
+    folder = session.prepare_folder(Path(output), force=force)
+    chosen, pools, description, test = _training_options(options), None, "", None
+    if data is not None and board is not None:
+        detections = detect_corners(
+            str(Path(data) / "left*"), str(Path(data) / "right*"), board, progress=progress, should_stop=should_stop
+        )
+        half = detections.n_views // 2
+        if half < MIN_VIEWS_PER_HALF:
+            raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_HALF)
+        test = detections.select(np.arange(half, detections.n_views))
+        chosen, pools = _on_real_views(detections.select(np.arange(half)), chosen, options)
+        description = f"{half} pairs of real pictures, {REAL_CASES} cases drawn from them, rewards without truth"
+    run = session.train_agent(
+        folder,
+        chosen,
+        pools=pools,
+        description=description,
+        n_rigs=options.n_rigs,
+        command=_command(options, data is not None),
+        version=__version__,
+        seconds=options.seconds,
+        progress=progress,
+        should_stop=should_stop or (lambda: False),
+    )
+    calibration = None
+    if test is not None:
+        from binocal.calibrators import CalibrationOptions
+        from binocal.calibrators.learned import calibrate_with_policy
+
+        solving = CalibrationOptions(MODEL_OF_REAL_RIGS, seed=options.seed)
+        calibration = calibrate_with_policy(test, solving, run.policy, name=options.agent)
+    return TrainedAgent(run, calibration, _draw(run))
+
+
+def _training_options(options: TrainOptions) -> TrainingOptions:
+    from binocal.rl.training import default_options
+
+    given = default_options("steering" if options.agent == "drl" else "increments")
+    td3 = replace(given.td3, targets=options.targets)
+    if options.widths is not None:
+        td3 = replace(td3, actor_widths=options.widths)
+    return replace(given, seed=options.seed, n_steps=options.n_steps or given.n_steps, td3=td3)
+
+
+def _on_real_views(half: Detections, chosen: TrainingOptions, options: TrainOptions) -> tuple[TrainingOptions, Any]:
+    """Pools drawn from a half of the views, and networks by its amount unless their layers were given."""
+    from binocal.calibrators import calibrate
+    from binocal.rl.real_cases import cases_from_calibration, network_widths
+
+    calibration = calibrate(half, calibrator="lm", model=MODEL_OF_REAL_RIGS)
+    rng = np.random.default_rng([options.seed, 3])
+    pools = [(cases_from_calibration(calibration, REAL_CASES, rng), 0.1)]
+    validation = [(replace(cases_from_calibration(calibration, REAL_CASES // 4, rng), has_truth=True), 0.1)]
+    if options.widths is None:
+        td3 = replace(chosen.td3, actor_widths=network_widths(half.n_views))
+        chosen = replace(chosen, td3=td3)
+    return replace(chosen, rigs_per_pool=REAL_CASES), (pools, validation)
+
+
+def _command(options: TrainOptions, is_real: bool) -> str:
+    parts = ["binocal train", f"--agent {options.agent}", f"--targets {options.targets}"]
+    if options.n_steps is not None:
+        parts.append(f"--steps {options.n_steps}")
+    if options.widths is not None:
+        parts.append(f"--layers {','.join(map(str, options.widths))}")
+    parts.append(f"--seed {options.seed}")
+    return " ".join([*parts, *(["--data DIR --board SPEC"] if is_real else [])])
+
+
+def _draw(run: TrainingRun) -> Path | None:
+    """The figure of the run, where matplotlib is installed."""
+    from binocal.report.training import draw_training
+
+    path = run.folder / "training.svg"
+    try:
+        draw_training([run.history], path)
+    except MissingExtraError:
+        return None
+    return path

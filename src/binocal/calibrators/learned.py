@@ -1,0 +1,78 @@
+"""``drl`` and ``drl-increments``: the joint road, its far phase led by a trained agent.
+
+The agent decides how the solver walks, never where it ends: see :mod:`binocal.solvers.steered` for the guards. What it did is
+told in the result's provenance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+from binocal.calibrators.base import CalibrationOptions
+from binocal.calibrators.joint import calibrate_jointly
+from binocal.detections import Detections
+from binocal.result import StereoCalibration
+from binocal.rl.policy import LearnedController, Policy, shipped_policy
+from binocal.solvers.bundle import BundleEstimate, BundleProblem
+from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
+from binocal.solvers.steered import SteeredMinimum, minimize_steered
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray
+
+
+def calibrate_drl(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
+    """The shipped agent steers the solver (see :class:`binocal.calibrators.base.Calibrator`)."""
+    return calibrate_with_policy(detections, options, shipped_policy("steering"), name="drl")
+
+
+def calibrate_drl_increments(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
+    """The shipped agent changes R, T itself, as in the paper; all other unknowns take their own steps beside."""
+    return calibrate_with_policy(detections, options, shipped_policy("increments"), name="drl-increments")
+
+
+def calibrate_with_policy(
+    detections: Detections, options: CalibrationOptions, policy: Policy, *, name: str
+) -> StereoCalibration:
+    """Calibration with any policy; the answer is that of ``lm`` whatever the policy's weights are."""
+    minimizer = _SteeredMinimizer(policy)
+    calibration = calibrate_jointly(detections, options, name=name, minimizer=minimizer)
+    return replace(calibration, provenance={**calibration.provenance, "agent": minimizer.report()})
+
+
+class _SteeredMinimizer:
+    """A minimiser that remembers what the agent did; one for each calibration."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.controller, self.solves = LearnedController(policy), list[SteeredMinimum]()
+
+    def __call__(
+        self,
+        problem: BundleProblem,
+        start: BundleEstimate,
+        options: LoopOptions | None = None,
+        *,
+        scale_px: Float[ndarray, "*batch"] | None = None,
+    ) -> Minimum:
+        if options is not None and options.kernel != "hampel":
+            return minimize(problem, start, options, scale_px=scale_px)
+        solve = minimize_steered(problem, start, self.controller, options, scale_px=scale_px)
+        self.solves.append(solve)
+        return solve.minimum
+
+    def report(self) -> dict[str, Any]:
+        """What the agent did in each solve: its iterations, whether a guard took over, what was left to the classical tail."""
+        return {
+            "iterations": sum(len(solve.led) for solve in self.solves),
+            "solves": [
+                {
+                    "iterations": [asdict(iteration) for iteration in solve.led],
+                    "tail_iterations": int(solve.minimum.n_iterations) - len(solve.led),
+                    "handed_over": solve.handed_over,
+                    "remaining_sigma": solve.remaining_sigma,
+                }
+                for solve in self.solves
+            ],
+        }
