@@ -41,6 +41,6 @@ def test_rigs_from_pictures_are_compared_with_both_of_opencvs_roads():
 
 
 def test_unknown_benchmarks_are_named():
-    assert {"pipeline", "scale", "solver"} <= set(BENCHMARKS)
-    with pytest.raises(ValueError, match="known: corners, detection, pipeline"):
+    assert {"agent", "pipeline", "scale", "solver", "training"} <= set(BENCHMARKS)
+    with pytest.raises(ValueError, match="known: agent, corners, detection, pipeline"):
         run("nothing")

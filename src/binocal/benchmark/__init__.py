@@ -48,7 +48,20 @@ def _scale(**options: Any) -> dict[str, Any]:
     return run_scale_benchmark(**options)
 
 
+def _agent(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.agent import run_agent_benchmark
+
+    return run_agent_benchmark(**options)
+
+
+def _training(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.training import run_training_benchmark
+
+    return run_training_benchmark(**options)
+
+
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
+    "agent": _agent,
     "corners": _corners,
     "detection": _detection,
     "pipeline": _pipeline,
@@ -56,6 +69,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "rig": _rig,
     "scale": _scale,
     "solver": _solver,
+    "training": _training,
 }
 
 
