@@ -118,8 +118,9 @@ def _run_process(folder: Path) -> StereoRigLike:
     command = [sys.executable, "-m", "binocal", "calibrate", "--left", str(folder / "left_*.png")]
     command += ["--right", str(folder / "right_*.png"), "--board", BOARD, "--model", MODEL]
     command += ["--output", str(output), "--force"]
-    path = os.pathsep.join(entry for entry in sys.path if entry)
-    subprocess.run(command, check=True, capture_output=True, env=os.environ | {"PYTHONPATH": path})
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
+    env.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package is compiled
+    subprocess.run(command, check=True, capture_output=True, env=env)
     T = read_rig(output).T_right_left
     return T.R, T.t
 

@@ -14,6 +14,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 fine, 1 failure while running, 2 usage, 3 input unusable, 4 finished but below the quality asked for,
     130 interrupted.
     """
+    from binocal.cli.process import settle_process
     from binocal.cli.running import run
 
+    settle_process()
     return run(arguments)
