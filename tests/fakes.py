@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from binocal.calibrators import load_calibrator
 from binocal.result import Covariance, Evidence, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 from rigs import make_detections, make_poses, make_rig
 
@@ -71,7 +72,11 @@ class Rooms:
         self.calibrate: Callable[..., StereoCalibration] = self._calibrate
         self.calls: dict[str, Any] = {}
         rooms = {
-            "binocal.calibrators": {"calibrate": self._call_calibrate, "CALIBRATORS": {"drl": lambda: self.calibrate}},
+            "binocal.calibrators": {
+                "calibrate": self._call_calibrate,
+                "CALIBRATORS": {"drl": lambda: self.calibrate},
+                "load_calibrator": load_calibrator,
+            },
             "binocal.calibrators.view_selection": {"select_views": self._select_views},
             "binocal.datasets": {},
             "binocal.datasets.folder": {"list_pairs": self._list_pairs},

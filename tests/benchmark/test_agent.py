@@ -11,6 +11,7 @@ from binocal.rl.evaluation import (
     compare_on,
     format_rows,
     held_out_cases,
+    simulated_exam,
     solve_cases,
     tolerance_of,
 )
@@ -21,7 +22,7 @@ from binocal.solvers.controllers import Marquardt
 
 @pytest.mark.slow
 def test_all_controllers_have_a_row_and_the_text_shows_them():
-    rows = compare_on("weak", {"drl": shipped_policy("steering")}, n_rigs=24, seed=0)
+    rows = compare_on(simulated_exam("weak", 24, seed=0), {"drl": shipped_policy("steering")})
     assert {row.controller for row in rows} == {*CLASSICAL, CORRECTED, MEAN_ACTION, "drl"}
     assert all(row.n_rigs == 24 and 1 <= row.mean <= MAX_STEPS and 0 <= row.arrived <= 1 for row in rows)
     text = format_rows(rows)

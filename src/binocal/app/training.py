@@ -16,11 +16,13 @@ from binocal.errors import MissingExtraError, TooFewViewsError
 from binocal.result import StereoCalibration
 
 if TYPE_CHECKING:
+    from binocal.rl.evaluation import Exam
     from binocal.rl.session import TrainingRun
     from binocal.rl.training import TrainingOptions
 
 MIN_VIEWS_PER_HALF = 6  # a half must hold cases of three views, each a half of it
 REAL_CASES = 256
+EXAM_CASES = 128  # to tune the classical controllers on that the agent is compared with
 MODEL_OF_REAL_RIGS = "brown4"
 
 
@@ -77,7 +79,7 @@ def train(
             raise
         raise MissingExtraError("training", "train") from None
     folder = session.prepare_folder(Path(output), force=force)
-    chosen, pools, description, test = _training_options(options), None, "", None
+    chosen, pools, description, exam, test = _training_options(options), None, "", None, None
     if data is not None and board is not None:
         detections = detect_corners(
             str(Path(data) / "left*"), str(Path(data) / "right*"), board, progress=progress, should_stop=should_stop
@@ -86,12 +88,13 @@ def train(
         if half < MIN_VIEWS_PER_HALF:
             raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_HALF)
         test = detections.select(np.arange(half, detections.n_views))
-        chosen, pools = _on_real_views(detections.select(np.arange(half)), chosen, options)
+        chosen, pools, exam = _on_real_views(detections.select(np.arange(half)), test, chosen, options)
         description = f"{half} pairs of real pictures, {REAL_CASES} cases drawn from them, rewards without truth"
     run = session.train_agent(
         folder,
         chosen,
         pools=pools,
+        exam=exam,
         description=description,
         n_rigs=options.n_rigs,
         command=_command(options, data is not None),
@@ -120,19 +123,36 @@ def _training_options(options: TrainOptions) -> TrainingOptions:
     return replace(given, seed=options.seed, n_steps=options.n_steps or given.n_steps, td3=td3)
 
 
-def _on_real_views(half: Detections, chosen: TrainingOptions, options: TrainOptions) -> tuple[TrainingOptions, Any]:
-    """Pools drawn from a half of the views, and networks by its amount unless their layers were given."""
+def _on_real_views(
+    half: Detections, test: Detections, chosen: TrainingOptions, options: TrainOptions
+) -> tuple[TrainingOptions, Any, Exam]:
+    """Pools drawn from one half of the views, the exam from the other; networks by the amount unless layers were given."""
     from binocal.calibrators import calibrate
-    from binocal.rl.real_cases import cases_from_calibration, network_widths
+    from binocal.rl.cases import sample_starts
+    from binocal.rl.evaluation import Exam
+    from binocal.rl.real_cases import cases_from_calibration, network_widths, tolerance_sigma
 
-    calibration = calibrate(half, calibrator="lm", model=MODEL_OF_REAL_RIGS)
     rng = np.random.default_rng([options.seed, 3])
-    pools = [(cases_from_calibration(calibration, REAL_CASES, rng), 0.1)]
-    validation = [(replace(cases_from_calibration(calibration, REAL_CASES // 4, rng), has_truth=True), 0.1)]
+    known, unseen = (calibrate(views, calibrator="lm", model=MODEL_OF_REAL_RIGS) for views in (half, test))
+    cases, held_out, practice = (
+        cases_from_calibration(known, n, rng) for n in (REAL_CASES, REAL_CASES // 4, EXAM_CASES)
+    )
+    others = cases_from_calibration(unseen, max(1, min(options.n_rigs, REAL_CASES)), rng)
+    tolerance = tolerance_sigma(cases.options.n_views)
+    exam = Exam(
+        "second half",
+        "cases drawn from the pictures of the second half",
+        others,
+        sample_starts(others, rng),
+        practice,
+        sample_starts(practice, rng),
+        tolerance_sigma(others.options.n_views),
+    )
     if options.widths is None:
         td3 = replace(chosen.td3, actor_widths=network_widths(half.n_views))
         chosen = replace(chosen, td3=td3)
-    return replace(chosen, rigs_per_pool=REAL_CASES), (pools, validation)
+    pools = [(cases, tolerance)], [(held_out, tolerance)]
+    return replace(chosen, rigs_per_pool=REAL_CASES), pools, exam
 
 
 def _command(options: TrainOptions, is_real: bool) -> str:

@@ -20,7 +20,7 @@ from binocal.errors import BinocalError
 from binocal.geometry import so3
 from binocal.result import StereoCalibration
 from binocal.rl.cases import CASE_SETS, SIZE_WH, Cases, measure_corners, take_rigs
-from binocal.rl.evaluation import CORRECTED, Row, compare_on, format_rows, held_out_cases
+from binocal.rl.evaluation import CORRECTED, Row, compare_on, format_rows, held_out_cases, simulated_exam
 from binocal.rl.policy import shipped_policy
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections
 from binocal.solvers.bundle import BundleEstimate, BundleProblem
@@ -44,7 +44,7 @@ def run_agent_benchmark(*, n_rigs: int = 1000, seed: int = 0) -> dict[str, Any]:
     times: list[dict[str, Any]] = []
     for name in CASE_SETS:
         tuned: dict[str, Controller] = {}
-        of_set = compare_on(name, policies, n_rigs=n_rigs, seed=seed, tuned=tuned)
+        of_set = compare_on(simulated_exam(name, n_rigs, seed), policies, tuned=tuned)
         rows += of_set
         best = min((row for row in of_set if row.controller in CLASSICAL), key=lambda row: row.mean).controller
         chosen = {best: tuned[best], CORRECTED: tuned[CORRECTED], AGENT: tuned[AGENT]}

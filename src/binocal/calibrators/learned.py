@@ -7,13 +7,15 @@ told in the result's provenance.
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from binocal.calibrators.base import CalibrationOptions
+from binocal.calibrators.base import CalibrationOptions, Calibrator
 from binocal.calibrators.joint import calibrate_jointly
 from binocal.detections import Detections
 from binocal.result import StereoCalibration
-from binocal.rl.policy import LearnedController, Policy, shipped_policy
+from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
 from binocal.solvers.bundle import BundleEstimate, BundleProblem
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.steered import SteeredMinimum, minimize_steered
@@ -31,6 +33,15 @@ def calibrate_drl(detections: Detections, options: CalibrationOptions) -> Stereo
 def calibrate_drl_increments(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
     """The shipped agent changes R, T itself, as in the paper; all other unknowns take their own steps beside."""
     return calibrate_with_policy(detections, options, shipped_policy("increments"), name="drl-increments")
+
+
+def calibrator_of_weights(path: str | Path) -> Calibrator:
+    """The calibrator that the agent in a file of weights leads.
+
+    Raises:
+        FormatError: The file cannot be read, or fits another version.
+    """
+    return partial(calibrate_with_policy, policy=load_policy(path), name=str(path))
 
 
 def calibrate_with_policy(

@@ -1,4 +1,4 @@
-"""The calibrators by name. Each entry imports its method only when called."""
+"""The calibrators by name, or by the weights that :func:`binocal.app.train` wrote. Each imports its method only when called."""
 
 from __future__ import annotations
 
@@ -28,13 +28,22 @@ def _drl_increments() -> Calibrator:
 CALIBRATORS: dict[str, Callable[[], Calibrator]] = {"drl": _drl, "drl-increments": _drl_increments, "lm": _lm}
 
 
+WEIGHTS_SUFFIX = ".safetensors"
+
+
 def load_calibrator(name: str) -> Calibrator:
-    """The calibrator of that name.
+    """The calibrator of that name, or led by the agent in that file of weights.
 
     Raises:
         ValueError: No such calibrator.
+        FormatError: The file of weights cannot be read, or fits another version.
     """
+    if name.endswith(WEIGHTS_SUFFIX):
+        from binocal.calibrators.learned import calibrator_of_weights
+
+        return calibrator_of_weights(name)
     try:
         return CALIBRATORS[name]()
     except KeyError:
-        raise ValueError(f"unknown calibrator {name!r}; known: {', '.join(CALIBRATORS)}") from None
+        known = ", ".join(CALIBRATORS)
+        raise ValueError(f"unknown calibrator {name!r}; known: {known}, or a {WEIGHTS_SUFFIX} file") from None

@@ -146,7 +146,10 @@ def training_text(trained: TrainedAgent) -> str:
             (row.set_name, row.controller, f"{row.mean:.2f}", f"{row.p95:.0f}", f"{100 * row.arrived:.1f} %")
             for row in run.rows
         ]
-        lines += [format_table(("set", "controller", "mean iterations", "95 %", "arrived"), evaluated, "llrrr"), ""]
+        lines += [
+            format_table(("set", "controller", "mean iterations", "95 %", "arrived"), evaluated, align="llrrr"),
+            "",
+        ]
     if trained.test_half is not None:
         rig = trained.test_half.rig
         lines += [

@@ -91,7 +91,10 @@ def calibrate(
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "rig.json"
     ),
-    calibrator: Annotated[str, typer.Option("--calibrator", help="Method.", metavar="NAME")] = "drl",
+    calibrator: Annotated[
+        str,
+        typer.Option("--calibrator", help="drl, drl-increments, lm, or weights that train wrote.", metavar="NAME"),
+    ] = "drl",
     model: Annotated[
         Model, typer.Option("--model", help="Camera model; auto picks by held-out error.", metavar=MODELS)
     ] = Model.auto,
@@ -328,8 +331,14 @@ def _parse_board(spec: str) -> Any:
 def _check_calibrator(name: str) -> None:
     from binocal.calibrators import CALIBRATORS
 
-    if name not in CALIBRATORS:
-        raise typer.BadParameter(f"unknown calibrator {name!r}; known: {', '.join(CALIBRATORS)}")
+    if name in CALIBRATORS:
+        return
+    from binocal.calibrators import load_calibrator
+
+    try:
+        load_calibrator(name)  # weights are read before any picture is
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def _one_of(option: str, value: str, known: tuple[str, ...]) -> str:

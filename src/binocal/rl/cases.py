@@ -28,7 +28,7 @@ from binocal.solvers.bundle import (
     shared_information,
 )
 from binocal.solvers.least_squares import LoopOptions, minimize
-from binocal.solvers.steering import LoopState
+from binocal.solvers.steering import LoopState, cost_under
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -79,6 +79,18 @@ CASE_SETS: dict[str, CaseOptions] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LowestCost:
+    """The lowest robust cost that is known of each rig, and the kernel's scale that it was found under."""
+
+    cost_px2: Float[ndarray, "rigs"]
+    scale_px: Float[ndarray, "rigs"]
+
+    def select(self, index: ndarray) -> LowestCost:
+        """Those rigs."""
+        return LowestCost(self.cost_px2[index], self.scale_px[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Cases:
     """A batch of rigs with the same board and number of views; intrinsics are held at the truth.
 
@@ -91,8 +103,8 @@ class Cases:
     left_poses: tuple[Float[ndarray, "rigs views 3 3"], Float[ndarray, "rigs views 3"]]
     whitening: Float[ndarray, "rigs 6 6"]
     noise_px: Float[ndarray, "rigs"]
-    has_truth: bool = True
-    """Whether rewards may look at the optimum; not with real pictures."""
+    lowest: LowestCost | None = None
+    """What rewards look at in place of the optimum where the truth is unknown: real pictures."""
 
     @property
     def n_rigs(self) -> int:
@@ -108,6 +120,7 @@ class Cases:
             left_poses=(self.left_poses[0][index], self.left_poses[1][index]),
             whitening=self.whitening[index],
             noise_px=self.noise_px[index],
+            lowest=None if self.lowest is None else self.lowest.select(index),
         )
 
 
@@ -163,19 +176,25 @@ def sample_cases(options: CaseOptions, n_rigs: int, rng: np.random.Generator) ->
 
 
 def solved_cases(
-    options: CaseOptions, problem: BundleProblem, truth: BundleEstimate, noise_px: Float[ndarray, "rigs"]
+    options: CaseOptions,
+    problem: BundleProblem,
+    known: BundleEstimate,
+    noise_px: Float[ndarray, "rigs"],
+    *,
+    has_truth: bool = True,
 ) -> Cases:
-    """The cases of a problem whose solution is known well enough to start a classical solve at its optimum."""
-    tight = LoopOptions(tolerance_sigma=1e-3)
-    optimum = minimize(problem, truth, tight).estimate
+    """The cases of a problem whose solution is known well enough to start a classical solve near its optimum."""
+    minimum = minimize(problem, known, LoopOptions(tolerance_sigma=1e-3))
+    optimum = minimum.estimate
     left = replace(problem, cameras=problem.cameras[:1], is_rig_free=False)
     alone = minimize(
-        left, BundleEstimate(truth.parameters[:1], truth.R_left_board, truth.t_left_board), LoopOptions()
+        left, BundleEstimate(known.parameters[:1], known.R_left_board, known.t_left_board), LoopOptions()
     ).estimate
     information = shared_information(problem, optimum, linearize(problem, optimum, noise_px, "hampel"))
     # the upper triangular factor: |whitening @ xi|² = xi' information xi / noise²
     whitening = np.linalg.cholesky(information).swapaxes(-1, -2) / noise_px[:, None, None]
-    return Cases(options, problem, optimum, (alone.R_left_board, alone.t_left_board), whitening, noise_px)
+    lowest = None if has_truth else LowestCost(minimum.equations.cost_px2, minimum.equations.scale_px)
+    return Cases(options, problem, optimum, (alone.R_left_board, alone.t_left_board), whitening, noise_px, lowest)
 
 
 def measure_corners(
@@ -230,6 +249,18 @@ def distance_sigma(cases: Cases, estimate: BundleEstimate) -> Float[ndarray, "ri
     tau = estimate.t_right_left - cases.optimum.t_right_left - np.cross(omega, cases.optimum.t_right_left)
     xi = np.concatenate([omega, tau], axis=-1)
     return np.linalg.norm((cases.whitening @ xi[..., None])[..., 0], axis=-1)
+
+
+def way_left_sigma(cases: Cases, loop: LoopState) -> Float[ndarray, "rigs"]:
+    """What is left to the optimum: :func:`distance_sigma`, or without truth the same from the robust cost.
+
+    Near the optimum the cost exceeds the lowest one by half the squared distance over all unknowns, in standard deviations
+    and times the noise squared; far from it and in a wrong minimum it stays large, as it should.
+    """
+    if cases.lowest is None:
+        return distance_sigma(cases, loop.estimate)
+    excess = cost_under(loop.equations, cases.lowest.scale_px, "hampel") - cases.lowest.cost_px2
+    return np.sqrt(2 * np.maximum(excess, 0.0)) / cases.lowest.scale_px
 
 
 def _directions(n: int, rng: np.random.Generator) -> Float[ndarray, "n 3"]:

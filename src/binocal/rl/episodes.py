@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.rl.cases import Cases, distance_sigma, select_loop
+from binocal.rl.cases import Cases, select_loop, way_left_sigma
 from binocal.rl.task import (
     MAX_STEPS,
     ActionMeaning,
     TaskState,
     has_arrived,
-    has_arrived_without_truth,
     initial,
     observation,
     reward,
-    reward_without_truth,
     transition,
 )
 from binocal.solvers.bundle import BundleEstimate
@@ -73,18 +71,14 @@ def run_episodes(
     running = cases
     state = initial(running.problem, start, meaning)
     seen = observation(running.problem, state, meaning)
-    sigma = distance_sigma(running, state.loop.estimate)
+    sigma = way_left_sigma(running, state.loop)
     for step in range(max_steps):
         action = policy(seen)
-        before, state = state, transition(running.problem, state, action, meaning)
+        state = transition(running.problem, state, action, meaning)
         following = observation(running.problem, state, meaning)
-        after = distance_sigma(running, state.loop.estimate)
-        if cases.has_truth:
-            is_terminal = has_arrived(after, tolerance_sigma)
-            earned = reward(sigma, after, tolerance_sigma)
-        else:
-            is_terminal = has_arrived_without_truth(state)
-            earned = reward_without_truth(before, state)
+        after = way_left_sigma(running, state.loop)
+        is_terminal = has_arrived(after, tolerance_sigma)
+        earned = reward(sigma, after, tolerance_sigma)
         is_live = ~arrived[rig]
         total[rig[is_live]] += discount**step * earned[is_live]
         if on_step is not None:

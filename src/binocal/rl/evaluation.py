@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.rl.cases import CASE_SETS, Cases, distance_sigma, sample_cases, sample_starts, select_loop
+from binocal.rl.cases import CASE_SETS, Cases, sample_cases, sample_starts, select_loop, way_left_sigma
 from binocal.rl.task import KERNEL, MAX_STEPS, n_actions
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.controllers import Controller, Marquardt, Nielsen, Schedule
@@ -61,7 +61,7 @@ def solve_cases(
             taken = memory["last_action"][is_live]
             total = taken.sum(axis=0) + (0 if total is None else total)
             count += len(taken)
-        there = rig[is_live & (distance_sigma(cases, state.estimate) < tolerance_sigma)]
+        there = rig[is_live & (way_left_sigma(cases, state) < tolerance_sigma)]
         n_iterations[there], has_arrived[there] = step + 1, True
         keep = np.flatnonzero(~has_arrived[rig])
         if not len(keep):
@@ -146,19 +146,37 @@ CORRECTED = "best of these + corrected steps"
 MEAN_ACTION = "the agent's mean action"
 
 
-def compare_on(
-    set_name: str, policies: Mapping[str, Policy], *, n_rigs: int, seed: int, tuned: dict[str, Controller] | None = None
-) -> list[Row]:
-    """Every controller on one set: classical families as tuned on other rigs of the same set, and the policies.
+@dataclass(frozen=True, slots=True, eq=False)
+class Exam:
+    """Rigs and starts to be judged on, others of their kind to tune on, and how near counts as arrived."""
+
+    name: str
+    description: str
+    cases: Cases
+    start: BundleEstimate
+    practice: Cases
+    practice_start: BundleEstimate
+    tolerance_sigma: float
+
+
+def simulated_exam(name: str, n_rigs: int, seed: int) -> Exam:
+    """The exam of that name in ``CASE_SETS``."""
+    cases, start = held_out_cases(name, n_rigs, seed)
+    return Exam(
+        name, "simulated rigs", cases, start, *held_out_cases(name, TUNING_RIGS, seed + 1_000_003), tolerance_of(name)
+    )
+
+
+def compare_on(exam: Exam, policies: Mapping[str, Policy], *, tuned: dict[str, Controller] | None = None) -> list[Row]:
+    """Every controller in one exam: classical families as tuned on its practice rigs, and the policies.
 
     The mean action, the same in every iteration, is that of the first policy on the tuning rigs. ``tuned`` receives the
     controllers that were tuned, by row name.
     """
     from binocal.rl.policy import ConstantController, LearnedController
 
-    tolerance = tolerance_of(set_name)
-    practice, practice_start = held_out_cases(set_name, TUNING_RIGS, seed + 1_000_003)
-    cases, start = held_out_cases(set_name, n_rigs, seed)
+    set_name, tolerance = exam.name, exam.tolerance_sigma
+    practice, practice_start = exam.practice, exam.practice_start
     candidates: list[tuple[str, str, Controller]] = []
     for family, (settings, controller) in tune_classical(practice, practice_start, tolerance).items():
         candidates.append((family, settings, controller))
@@ -179,7 +197,7 @@ def compare_on(
     if tuned is not None:
         tuned.update({name: controller for name, _, controller in candidates})
     return [
-        row_of(set_name, name, settings, solve_cases(cases, start, controller, tolerance))
+        row_of(set_name, name, settings, solve_cases(exam.cases, exam.start, controller, tolerance))
         for name, settings, controller in candidates
     ]
 

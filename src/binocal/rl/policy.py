@@ -116,6 +116,8 @@ def load_policy(path: str | Path) -> Policy:
         with safe_open(str(path), framework="numpy") as file:
             arrays = {name: file.get_tensor(name).astype(float) for name in file.keys()}  # noqa: SIM118 - not a dict
             metadata = file.metadata() or {}
+    except FileNotFoundError:
+        raise FormatError(path, "no such file.") from None
     except (OSError, SafetensorError) as error:
         raise FormatError(path, f"not a readable safetensors file ({error}).") from None
     try:

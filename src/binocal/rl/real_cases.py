@@ -1,7 +1,8 @@
 """Training cases from real detections: many small calibrations drawn from the views of one rig.
 
-No truth is known and rewards look at none (:func:`binocal.rl.task.reward_without_truth`); the calibration of these very views
-supplies the intrinsics that are held, and the place around which starts are drawn.
+No truth is known and rewards look at none, but at how far the robust cost lies above the lowest that a classical solve found
+(:func:`binocal.rl.cases.way_left_sigma`); the calibration of these very views supplies the intrinsics that are held, and the
+place around which starts are drawn.
 """
 
 from __future__ import annotations
@@ -48,8 +49,12 @@ def cases_from_calibration(calibration: StereoCalibration, n_cases: int, rng: np
         np.tile(rig.T_right_left.t, (n_cases, 1)),
     )
     options: CaseOptions = replace(CASE_SETS["standard"], n_views=n_views)
-    cases = solved_cases(options, problem, known, np.full(n_cases, calibration.noise_px))
-    return replace(cases, has_truth=False)
+    return solved_cases(options, problem, known, np.full(n_cases, calibration.noise_px), has_truth=False)
+
+
+def tolerance_sigma(n_views: int) -> float:
+    """What counts as arrived: .1 for six unknowns; the cost tells of all of them, the board poses too."""
+    return 0.1 * float(np.sqrt(1 + n_views))
 
 
 def network_widths(n_views: int) -> tuple[int, ...]:

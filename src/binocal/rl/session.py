@@ -6,15 +6,16 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from binocal.errors import DataError, OutputExistsError
 from binocal.rl.cases import CASE_SETS, Cases
 from binocal.rl.checkpoint import load_checkpoint, save_checkpoint
-from binocal.rl.evaluation import Row, compare_on, format_rows
+from binocal.rl.evaluation import Exam, Row, compare_on, format_rows, simulated_exam
 from binocal.rl.history import TrainingHistory, write_history
-from binocal.rl.policy import Policy, load_policy, save_policy
+from binocal.rl.policy import Policy, load_policy, save_policy, shipped_policy
 from binocal.rl.training import TRAINING_SETS, Check, Training, TrainingOptions, run, simulated_pools
 
 CHECKPOINT, WEIGHTS, HISTORY = "checkpoint.pt", "weights.safetensors", "history.npz"
@@ -66,6 +67,7 @@ def train_agent(
     options: TrainingOptions,
     *,
     pools: tuple[list[tuple[Cases, float]], list[tuple[Cases, float]]] | None = None,
+    exam: Exam | None = None,
     description: str = "",
     n_rigs: int = 1000,
     command: str = "",
@@ -74,9 +76,10 @@ def train_agent(
     progress: Callable[[str, int, int], None] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> TrainingRun:
-    """Trains in ``folder``, going on from its checkpoint if there is one, and evaluates on the sets of ``CASE_SETS``.
+    """Trains in ``folder``, going on from its checkpoint if there is one, and evaluates beside the shipped agent.
 
-    ``pools`` are training and validation rigs (simulated ones if None), ``description`` says in the card what they are.
+    ``pools`` are training and validation rigs (simulated ones if None), ``description`` says in the card what they are. Without
+    an ``exam`` the agent is judged on ``n_rigs`` rigs of each of ``CASE_SETS``; 0 leaves that out.
     ``seconds`` limits the time spent in episodes and gradient steps; a run that it cuts can be gone on with.
 
     Raises:
@@ -119,18 +122,26 @@ def train_agent(
     card = _facts(training, description, command, version)
     policy = training.policy(card, best=True)
     rows: list[Row] = []
+    name = AGENT_NAMES[options.meaning]
+    policies = {name: policy, f"{name}, as shipped": shipped_policy(options.meaning)}
+    exams = (
+        [partial(simulated_exam, sort, n_rigs, options.seed + 1) for sort in CASE_SETS]
+        if exam is None
+        else [lambda: exam]
+    )
     if n_rigs:
-        for index, name in enumerate(CASE_SETS):
-            told("evaluation", index, len(CASE_SETS))
-            rows += compare_on(name, {AGENT_NAMES[options.meaning]: policy}, n_rigs=n_rigs, seed=options.seed + 1)
-        told("evaluation", len(CASE_SETS), len(CASE_SETS))
+        for index, prepare in enumerate(exams):
+            told("evaluation", index, len(exams))
+            rows += compare_on(prepare(), policies)
+        told("evaluation", len(exams), len(exams))
         card |= {"table": [asdict(row) for row in rows]}
     policy = replace(policy, card={key: value for key, value in card.items() if key != "table"})
     save_policy(policy, folder / WEIGHTS)
     write_history(training.history(), folder / HISTORY)
     (folder / CHECKS).write_text(json.dumps([asdict(check) for check in training.checks], indent=1), encoding="utf-8")
     (folder / TABLE).write_text(json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8")
-    (folder / CARD).write_text(model_card(card, rows), encoding="utf-8")
+    judged_on = "rigs never trained on" if exam is None else exam.description
+    (folder / CARD).write_text(model_card(card, rows, judged_on), encoding="utf-8")
     return TrainingRun(
         folder,
         policy,
@@ -165,7 +176,7 @@ def _facts(training: Training, description: str, command: str, version: str) -> 
     }
 
 
-def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...]) -> str:
+def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...], judged_on: str) -> str:
     """The card as Markdown."""
     td3 = facts["options"]["td3"]
     lines = [
@@ -182,7 +193,7 @@ def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...]) -> str:
     ]
     if rows:
         lines += [
-            f"On rigs never trained on ({rows[0].n_rigs} each); one iteration is one candidate evaluated, failures count 25.",
+            f"On {judged_on} ({rows[0].n_rigs} each); one iteration is one candidate evaluated, failures count 25.",
             "",
             format_rows(rows),
             "",

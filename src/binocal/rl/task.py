@@ -149,26 +149,6 @@ def reward(
     return PROGRESS_REWARD * (potential(before_sigma) - potential(after_sigma)) - STEP_COST
 
 
-def reward_without_truth(before: TaskState, after: TaskState) -> Float[ndarray, "*batch"]:
-    """The same from what real data tell: decades by which the Gauss-Newton step shrank, above the stop rule's length.
-
-    The step's length in sigmas bounds the distance to the optimum near it; a rejected candidate earns nothing.
-    """
-    tolerance = ARRIVED_DECREMENT
-    fall = np.log10(np.maximum(before.loop.decrement_sigma, tolerance)) - np.log10(
-        np.maximum(after.loop.decrement_sigma, tolerance)
-    )
-    return PROGRESS_REWARD * np.where(after.loop.is_kept, np.nan_to_num(fall), 0.0) - STEP_COST
-
-
-ARRIVED_DECREMENT = 0.1  # sigmas over all unknowns
-
-
 def has_arrived(sigma: Float[ndarray, "*batch"], tolerance_sigma: float) -> Bool[ndarray, "*batch"]:
     """Whether the episode ended at the optimum (termination, not truncation)."""
     return sigma < tolerance_sigma
-
-
-def has_arrived_without_truth(state: TaskState) -> Bool[ndarray, "*batch"]:
-    """The same from what real data tell."""
-    return state.loop.is_kept & (state.loop.decrement_sigma < ARRIVED_DECREMENT)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy import ndarray
 
-from binocal.rl.cases import Cases, distance_sigma, sample_starts, select_loop
+from binocal.rl.cases import Cases, sample_starts, select_loop, way_left_sigma
 from binocal.rl.networks import Actor
 from binocal.rl.policy import Policy
 from binocal.rl.replay import ReplayBuffer
@@ -56,7 +56,7 @@ class Imitation:
             self.lessons.add(seen, taught, nothing, np.zeros_like(seen), nothing > 0)
             if self.n_generations == 0:
                 self._normalise()
-            keep = np.flatnonzero(distance_sigma(cases, following.loop.estimate) > tolerance)
+            keep = np.flatnonzero(way_left_sigma(cases, following.loop) > tolerance)
             if not len(keep):
                 break
             cases = cases.select(keep)
@@ -106,5 +106,5 @@ class Imitation:
 
 def _decades(cases: Cases, state: TaskState, tolerance: float) -> ndarray:
     """Decades that are left to the tolerance."""
-    sigma = np.nan_to_num(distance_sigma(cases, state.loop.estimate), nan=1e8)
+    sigma = np.nan_to_num(way_left_sigma(cases, state.loop), nan=1e8)
     return np.log10(np.maximum(sigma, tolerance) / tolerance)

@@ -1,0 +1,88 @@
+"""From a folder of pictures to an agent of one's own, and a rig that it led to."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="training needs the train extra")
+
+from binocal import app
+from binocal.boards import parse_board
+from binocal.cli import main
+from binocal.errors import TooFewViewsError
+from binocal.simulation import table2_rig
+
+BOARD = parse_board("chessboard:8x5:20mm")
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pictures")
+    app.simulate(table2_rig(), BOARD, 14, folder, force=True)
+    return folder
+
+
+@pytest.mark.slow
+def test_half_of_the_pictures_trains_and_the_other_half_judges(pictures, tmp_path, capsys):
+    arguments = [
+        "train",
+        "--data",
+        str(pictures),
+        "--board",
+        "chessboard:8x5:20mm",
+        "--output",
+        str(tmp_path / "agent"),
+    ]
+    assert main([*arguments, "--steps", "3000", "--rigs", "12"]) == 0
+    out = capsys.readouterr().out
+    rows = json.loads((tmp_path / "agent" / "table.json").read_text())
+    assert {row["set_name"] for row in rows} == {"second half"} and {row["n_rigs"] for row in rows} == {12}
+    assert {"drl", "drl, as shipped", "LM-Marquardt"} <= {row["controller"] for row in rows}
+    assert "second half" in out and "drl, as shipped" in out and "second half: baseline" in out
+    card = (tmp_path / "agent" / "card.md").read_text()
+    assert (
+        "7 pairs of real pictures" in card and "actor [16]" in card and "from the pictures of the second half" in card
+    )
+
+    weights = str(tmp_path / "agent" / "weights.safetensors")
+    road = ["calibrate", "--left", str(pictures / "left*"), "--right", str(pictures / "right*"), "--model", "brown4"]
+    road += ["--board", "chessboard:8x5:20mm"]
+    rigs = []
+    for name in (weights, "lm"):
+        output = tmp_path / "rig.json"
+        assert main([*road, "--calibrator", name, "--output", str(output), "--force"]) == 0
+        rigs.append(json.loads(output.read_text()))
+    np.testing.assert_allclose(*(rig["T"] for rig in rigs), rtol=1e-6, atol=1e-9)
+    assert rigs[0]["provenance"]["calibrator"] == weights and "agent" in rigs[0]["provenance"]
+
+
+@pytest.mark.slow
+def test_too_few_pictures_are_said_before_any_training(pictures, tmp_path):
+    few = tmp_path / "few"
+    few.mkdir()
+    for side in ("left", "right"):
+        for i in range(8):
+            (few / f"{side}_{i:02d}.png").write_bytes((pictures / f"{side}_{i:02d}.png").read_bytes())
+    with pytest.raises(TooFewViewsError, match="12"):
+        app.train(tmp_path / "agent", app.TrainOptions(n_steps=100), data=few, board=BOARD)
+
+
+@pytest.mark.parametrize("content", [None, b"no weights"])
+def test_weights_that_cannot_be_read_are_named_before_any_picture_is(tmp_path, capsys, content):
+    weights = tmp_path / "mine.safetensors"
+    if content is not None:
+        weights.write_bytes(content)
+    arguments = [
+        "calibrate",
+        "--left",
+        "l",
+        "--right",
+        "r",
+        "--board",
+        "chessboard:8x5:20mm",
+        "--calibrator",
+        str(weights),
+    ]
+    assert main(arguments) == 3
+    assert capsys.readouterr().err.startswith(f"binocal: {weights}: ")
