@@ -1,6 +1,7 @@
 """From a folder of pictures to an agent of one's own, and a rig that it led to."""
 
 import json
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ pytest.importorskip("torch", reason="training needs the train extra")
 from binocal import app
 from binocal.boards import parse_board
 from binocal.cli import main
-from binocal.errors import TooFewViewsError
+from binocal.errors import DataError, TooFewViewsError
 from binocal.simulation import table2_rig
 
 BOARD = parse_board("chessboard:8x5:20mm")
@@ -25,15 +26,7 @@ def pictures(tmp_path_factory):
 
 @pytest.mark.slow
 def test_half_of_the_pictures_trains_and_the_other_half_judges(pictures, tmp_path, capsys):
-    arguments = [
-        "train",
-        "--data",
-        str(pictures),
-        "--board",
-        "chessboard:8x5:20mm",
-        "--output",
-        str(tmp_path / "agent"),
-    ]
+    arguments = ["train", "--data", str(pictures), "--output", str(tmp_path / "agent")]  # truth.json names the board
     assert main([*arguments, "--steps", "3000", "--rigs", "12"]) == 0
     out = capsys.readouterr().out
     rows = json.loads((tmp_path / "agent" / "table.json").read_text())
@@ -66,6 +59,30 @@ def test_too_few_pictures_are_said_before_any_training(pictures, tmp_path):
             (few / f"{side}_{i:02d}.png").write_bytes((pictures / f"{side}_{i:02d}.png").read_bytes())
     with pytest.raises(TooFewViewsError, match="12"):
         app.train(tmp_path / "agent", app.TrainOptions(n_steps=100), data=few, board=BOARD)
+
+
+def test_a_folder_says_which_board_it_shows(tmp_path):
+    with pytest.raises(DataError, match=r"which board.*none"):
+        app.board_of_folder(tmp_path)
+    (tmp_path / "camera.yaml").write_text("fx: 3")
+    (tmp_path / "target.yaml").write_text("board: chessboard:8x5:20mm")
+    assert app.board_of_folder(tmp_path) == BOARD
+    (tmp_path / "other.yml").write_text("board: chessboard:9x5:20mm")
+    with pytest.raises(DataError, match=r"more than one \(other\.yml, target\.yaml\)"):
+        app.board_of_folder(tmp_path)
+
+
+def test_a_run_that_cannot_begin_leaves_the_former_one_alone(tmp_path):
+    agent = tmp_path / "agent"
+    agent.mkdir()
+    (agent / "checkpoint.pt").write_bytes(b"former")
+    (agent / "weights.safetensors").write_bytes((files("binocal.rl") / "weights" / "drl.safetensors").read_bytes())
+    with pytest.raises(DataError):
+        app.train(agent, data=tmp_path, board=BOARD, force=True)
+    assert (agent / "checkpoint.pt").read_bytes() == b"former"
+    with pytest.raises(DataError):
+        app.train(tmp_path / "new", data=tmp_path, board=BOARD)
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("content", [None, b"no weights"])

@@ -233,7 +233,7 @@ def test_unknown_scale_is_in_squares(rooms, capsys):
         (["--agent", "dqn"], "--agent is 'dqn'; known: drl, drl-increments"),
         (["--targets", "medium"], "--targets is 'medium'; known: soft, hard"),
         (["--layers", "64,x"], "--layers is '64,x'"),
-        (["--data", "pictures"], "--data and --board"),
+        (["--board", "chessboard:9x6:30mm"], "--data DIR"),
     ],
 )
 def test_train_says_what_is_wrong_before_any_work(tmp_path, monkeypatch, capsys, arguments, problem):

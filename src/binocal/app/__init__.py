@@ -23,7 +23,7 @@ from binocal.app.road import (
     simulate,
     staged_folder,
 )
-from binocal.app.training import TrainedAgent, TrainOptions, train
+from binocal.app.training import TrainedAgent, TrainOptions, board_of_folder, train
 
 __all__ = [
     "CalibrateOptions",
@@ -36,6 +36,7 @@ __all__ = [
     "TrainOptions",
     "TrainedAgent",
     "TruthEvaluation",
+    "board_of_folder",
     "calibrate_pictures",
     "check_output_folder",
     "demo",

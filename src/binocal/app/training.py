@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +11,10 @@ import numpy as np
 
 from binocal import __version__
 from binocal.app.road import Progress, ShouldStop, detect_corners
-from binocal.boards import Board
+from binocal.boards import Board, load_board
 from binocal.detections import Detections
-from binocal.errors import MissingExtraError, TooFewViewsError
+from binocal.errors import DataError, FormatError, MissingExtraError, TooFewViewsError
+from binocal.formats import native
 from binocal.result import StereoCalibration
 
 if TYPE_CHECKING:
@@ -63,8 +65,9 @@ def train(
 ) -> TrainedAgent:
     """Train an agent into ``output``; a run that was cut there goes on where it was.
 
-    With ``data``, a folder of left* and right* pictures of ``board``: the first half of the pairs trains, with a reward that
-    needs no truth, the second half is calibrated with the agent (the paper's steps 1 and 6).
+    With ``data``, a folder with left* and right* pictures of a board (or with folders left and right): the first half of the
+    pairs trains, with a reward that needs no truth, the second half judges the agent and is calibrated with it (the paper's
+    steps 1 and 6). ``board`` may be left out where the folder says which it is, see :func:`board_of_folder`.
 
     Raises:
         MissingExtraError: PyTorch is not installed.
@@ -78,12 +81,12 @@ def train(
         if error.name != "torch":
             raise
         raise MissingExtraError("training", "train") from None
-    folder = session.prepare_folder(Path(output), force=force)
+    session.check_folder(Path(output), force=force)
     chosen, pools, description, exam, test = _training_options(options), None, "", None, None
-    if data is not None and board is not None:
-        detections = detect_corners(
-            str(Path(data) / "left*"), str(Path(data) / "right*"), board, progress=progress, should_stop=should_stop
-        )
+    if data is not None:
+        board = board or board_of_folder(data)
+        left, right = _picture_patterns(Path(data))
+        detections = detect_corners(left, right, board, progress=progress, should_stop=should_stop)
         half = detections.n_views // 2
         if half < MIN_VIEWS_PER_HALF:
             raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_HALF)
@@ -91,7 +94,7 @@ def train(
         chosen, pools, exam = _on_real_views(detections.select(np.arange(half)), test, chosen, options)
         description = f"{half} pairs of real pictures, {REAL_CASES} cases drawn from them, rewards without truth"
     run = session.train_agent(
-        folder,
+        session.prepare_folder(Path(output), force=force),
         chosen,
         pools=pools,
         exam=exam,
@@ -111,6 +114,30 @@ def train(
         solving = CalibrationOptions(MODEL_OF_REAL_RIGS, seed=options.seed)
         calibration = calibrate_with_policy(test, solving, run.policy, name=options.agent)
     return TrainedAgent(run, calibration, _draw(run))
+
+
+def board_of_folder(folder: str | Path) -> Board:
+    """The board of a folder of pictures: that of its ``truth.json``, or of the one YAML file that is a board's.
+
+    Raises:
+        DataError: There is none, or more than one.
+    """
+    truth, boards = Path(folder) / "truth.json", {}
+    if truth.exists():
+        return native.read_truth(truth).board
+    for path in sorted([*Path(folder).glob("*.yaml"), *Path(folder).glob("*.yml")]):
+        with contextlib.suppress(FormatError):
+            boards[path.name] = load_board(str(path))
+    if len(boards) != 1:
+        found = f"more than one ({', '.join(boards)})" if boards else "none"
+        raise DataError(f"{folder}: which board? A YAML file of a board beside the pictures says it; there is {found}.")
+    return next(iter(boards.values()))
+
+
+def _picture_patterns(folder: Path) -> tuple[str, str]:
+    if (folder / "left").is_dir() and (folder / "right").is_dir():
+        return str(folder / "left"), str(folder / "right")
+    return str(folder / "left*"), str(folder / "right*")
 
 
 def _training_options(options: TrainOptions) -> TrainingOptions:

@@ -259,7 +259,7 @@ def train(
     ] = None,
     data: Annotated[
         Path | None,
-        typer.Option("--data", help="Train on real pictures: a folder with left* and right* inside.", metavar="DIR"),
+        typer.Option("--data", help="Train on real pictures: left* and right* in a folder.", metavar="DIR"),
     ] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
     rigs: Annotated[
@@ -275,8 +275,8 @@ def train(
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
 
-    if (data is None) != (board is None):
-        raise typer.BadParameter("real pictures need both --data and --board.")
+    if data is None and board is not None:
+        raise typer.BadParameter("--board is that of the pictures in --data DIR; simulated rigs have theirs.")
     options = verbs.TrainOptions(
         _one_of("--agent", agent, ("drl", "drl-increments")),
         _one_of("--targets", targets, ("soft", "hard")),

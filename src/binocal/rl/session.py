@@ -39,6 +39,19 @@ class TrainingRun:
     history: TrainingHistory
 
 
+def check_folder(folder: Path, *, force: bool = False) -> None:
+    """Whether a run may go there, before anything is done for it; nothing is changed.
+
+    Raises:
+        OutputExistsError: It holds other files than a run that was cut, and ``force`` is False.
+        DataError: It is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise DataError(f"{folder} is a file; name a folder for the output.")
+    if folder.exists() and any(folder.iterdir()) and not (force or _holds_a_cut_run(folder)):
+        raise OutputExistsError(folder)
+
+
 def prepare_folder(folder: Path, *, force: bool = False) -> Path:
     """The folder, made if need be: empty, or with a run that was cut; with ``force`` a complete run is begun anew.
 
@@ -46,20 +59,20 @@ def prepare_folder(folder: Path, *, force: bool = False) -> Path:
         OutputExistsError: It holds other files, or a complete run, and ``force`` is False.
         DataError: It is a file, or cannot be made.
     """
-    if folder.exists() and not folder.is_dir():
-        raise DataError(f"{folder} is a file; name a folder for the output.")
+    check_folder(folder, force=force)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: the output's folder cannot be made: {error.strerror}.") from None
-    weights = folder / WEIGHTS
-    is_complete = weights.exists() and load_policy(weights).card.get("is_complete", True)
-    is_cut = (folder / CHECKPOINT).exists() and not is_complete
-    if any(folder.iterdir()) and not is_cut:
-        if not force:
-            raise OutputExistsError(folder)
+    if not _holds_a_cut_run(folder):
         (folder / CHECKPOINT).unlink(missing_ok=True)
     return folder
+
+
+def _holds_a_cut_run(folder: Path) -> bool:
+    weights = folder / WEIGHTS
+    is_complete = weights.exists() and load_policy(weights).card.get("is_complete", True)
+    return (folder / CHECKPOINT).exists() and not is_complete
 
 
 def train_agent(
