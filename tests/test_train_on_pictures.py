@@ -82,6 +82,8 @@ def test_a_run_that_cannot_begin_leaves_the_former_one_alone(tmp_path):
     assert (agent / "checkpoint.pt").read_bytes() == b"former"
     with pytest.raises(DataError):
         app.train(tmp_path / "new", data=tmp_path, board=BOARD)
+    with pytest.raises(DataError, match="holds no training run"):
+        app.train(tmp_path / "new", beside=[agent])
     assert not (tmp_path / "new").exists()
 
 

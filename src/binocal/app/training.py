@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from binocal.result import StereoCalibration
 
 if TYPE_CHECKING:
     from binocal.rl.evaluation import Exam
+    from binocal.rl.history import TrainingHistory
     from binocal.rl.session import TrainingRun
     from binocal.rl.training import TrainingOptions
 
@@ -59,6 +61,7 @@ def train(
     *,
     data: str | Path | None = None,
     board: Board | None = None,
+    beside: Sequence[str | Path] = (),
     force: bool = False,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
@@ -67,12 +70,13 @@ def train(
 
     With ``data``, a folder with left* and right* pictures of a board (or with folders left and right): the first half of the
     pairs trains, with a reward that needs no truth, the second half judges the agent and is calibrated with it (the paper's
-    steps 1 and 6). ``board`` may be left out where the folder says which it is, see :func:`board_of_folder`.
+    steps 1 and 6). ``board`` may be left out where the folder says which it is, see :func:`board_of_folder`. ``beside`` names
+    folders of other runs that the figure shows too: seeds of one kind of targets as a band.
 
     Raises:
         MissingExtraError: PyTorch is not installed.
         OutputExistsError: ``output`` holds other files than a run's, or a complete run, and ``force`` is False.
-        DataError: The pictures cannot be used, or the run in ``output`` had other options.
+        DataError: The pictures cannot be used, the run in ``output`` had other options, or a folder ``beside`` holds no run.
     """
     options = options or TrainOptions()
     try:
@@ -82,6 +86,7 @@ def train(
             raise
         raise MissingExtraError("training", "train") from None
     session.check_folder(Path(output), force=force)
+    others = [session.read_history_of(Path(folder)) for folder in beside]
     chosen, pools, description, exam, test = _training_options(options), None, "", None, None
     if data is not None:
         board = board or board_of_folder(data)
@@ -113,7 +118,7 @@ def train(
 
         solving = CalibrationOptions(MODEL_OF_REAL_RIGS, seed=options.seed)
         calibration = calibrate_with_policy(test, solving, run.policy, name=options.agent)
-    return TrainedAgent(run, calibration, _draw(run))
+    return TrainedAgent(run, calibration, _draw(run, others))
 
 
 def board_of_folder(folder: str | Path) -> Board:
@@ -192,13 +197,13 @@ def _command(options: TrainOptions, is_real: bool) -> str:
     return " ".join([*parts, *(["--data DIR --board SPEC"] if is_real else [])])
 
 
-def _draw(run: TrainingRun) -> Path | None:
-    """The figure of the run, where matplotlib is installed."""
+def _draw(run: TrainingRun, others: Sequence[TrainingHistory]) -> Path | None:
+    """The figure of the run and of those beside it, where matplotlib is installed."""
     from binocal.report.training import draw_training
 
     path = run.folder / "training.svg"
     try:
-        draw_training([run.history], path)
+        draw_training([run.history, *others], path)
     except MissingExtraError:
         return None
     return path

@@ -262,6 +262,12 @@ def train(
         typer.Option("--data", help="Train on real pictures: left* and right* in a folder.", metavar="DIR"),
     ] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    beside: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--beside", help="Another run's folder to draw beside this one; seeds make a band.", metavar="DIR"
+        ),
+    ] = None,
     rigs: Annotated[
         int,
         typer.Option("--rigs", help="Unseen rigs of each evaluation set; 0 leaves the table out.", metavar="N", min=0),
@@ -288,7 +294,9 @@ def train(
     )
     parsed = None if board is None else _parse_board(board)
     with progress_on_terminal() as progress:
-        trained = verbs.train(output, options, data=data, board=parsed, force=force, progress=progress)
+        trained = verbs.train(
+            output, options, data=data, board=parsed, beside=beside or (), force=force, progress=progress
+        )
     _present(documents.training_document(trained), tables.training_text(trained), json)
     return FINE
 

@@ -14,7 +14,7 @@ from binocal.errors import DataError, OutputExistsError
 from binocal.rl.cases import CASE_SETS, Cases
 from binocal.rl.checkpoint import load_checkpoint, save_checkpoint
 from binocal.rl.evaluation import Exam, Row, compare_on, format_rows, simulated_exam
-from binocal.rl.history import TrainingHistory, write_history
+from binocal.rl.history import TrainingHistory, load_history, write_history
 from binocal.rl.policy import Policy, load_policy, save_policy, shipped_policy
 from binocal.rl.training import TRAINING_SETS, Check, Training, TrainingOptions, run, simulated_pools
 
@@ -67,6 +67,18 @@ def prepare_folder(folder: Path, *, force: bool = False) -> Path:
     if not _holds_a_cut_run(folder):
         (folder / CHECKPOINT).unlink(missing_ok=True)
     return folder
+
+
+def read_history_of(folder: Path) -> TrainingHistory:
+    """The history of the run in a folder.
+
+    Raises:
+        DataError: There is none, or it cannot be read.
+    """
+    try:
+        return load_history(folder / HISTORY)
+    except OSError:
+        raise DataError(f"{folder} holds no training run ({HISTORY}); name a folder that train wrote.") from None
 
 
 def _holds_a_cut_run(folder: Path) -> bool:
