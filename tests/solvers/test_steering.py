@@ -11,11 +11,11 @@ from binocal.geometry import so3
 from binocal.simulation.noise import simulate_detections
 from binocal.simulation.rigs import table2_rig
 from binocal.simulation.scenes import StereoScene, sample_board_poses
-from binocal.solvers.bundle import CameraObservations, retract, shared_information
+from binocal.solvers.bundle import CameraObservations, cost_under, retract, shared_information
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
 from binocal.solvers.least_squares import minimize
 from binocal.solvers.steered import MAX_LED_ITERATIONS, minimize_steered
-from binocal.solvers.steering import Action, advance, begin, cost_under
+from binocal.solvers.steering import Action, advance, begin
 
 BOARD = parse_board("chessboard:11x8:20mm")
 PLAIN = Action(np.zeros(()), np.ones(()))

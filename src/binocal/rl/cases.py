@@ -23,12 +23,13 @@ from binocal.solvers.bundle import (
     BundleProblem,
     BundleStep,
     CameraObservations,
+    cost_under,
     linearize,
     residual_lengths2,
     shared_information,
 )
 from binocal.solvers.least_squares import LoopOptions, minimize
-from binocal.solvers.steering import LoopState, cost_under
+from binocal.solvers.steering import LoopState
 
 if TYPE_CHECKING:
     from jaxtyping import Float

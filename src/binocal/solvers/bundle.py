@@ -28,6 +28,7 @@ from binocal.native import (
     median_lengths2,
     pixels_behind,
     reduced_information,
+    robust_costs,
     solve_steps,
     squared_lengths,
     step_poses,
@@ -206,6 +207,16 @@ def linearize(
     if scale_px.shape != cost.shape:
         scale_px = np.broadcast_to(scale_px, cost.shape)
     return BundleEquations(equations, cost + scale_px**2 * energy, energy, scale_px)
+
+
+def cost_under(
+    equations: BundleEquations, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
+) -> Float[ndarray, "*batch"]:
+    """Robust cost of stored residuals under another scale of the kernel."""
+    total = scale_px**2 * equations.prior_energy
+    for e in equations.cameras:
+        total = total + robust_costs(e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1), scale_px, kernel)
+    return np.where(np.isfinite(equations.cost_px2), total, np.inf)
 
 
 def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:

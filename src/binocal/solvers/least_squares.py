@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import robust_costs
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
     BundleEstimate,
     BundleProblem,
+    cost_under,
     linearize,
     noise_estimate_px,
     residual_lengths2,
@@ -68,14 +68,6 @@ class Minimum:
     n_iterations: Int[ndarray, "*batch"]
     is_converged: Bool[ndarray, "*batch"]
     options: LoopOptions = field(default_factory=LoopOptions)
-
-
-def _cost(equations: BundleEquations, scale_px: ndarray, kernel: robust.Kernel) -> ndarray:
-    """Robust cost of stored residuals under another scale."""
-    total = scale_px**2 * equations.prior_energy
-    for e in equations.cameras:
-        total = total + robust_costs(e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1), scale_px, kernel)
-    return np.where(np.isfinite(equations.cost_px2), total, np.inf)
 
 
 def minimize(
@@ -129,7 +121,7 @@ def minimize(
         ):  # a look ahead costs a quarter of an iteration and saves the one that would only close the kernel
             ahead_px = options.scale_factor * noise_estimate_px(problem, residual_lengths2(problem, candidate))
             closer = np.where(is_running & (ahead_px < scale), ahead_px, scale)
-            cost = np.where(closer < scale, _cost(equations, closer, kernel), cost)
+            cost = np.where(closer < scale, cost_under(equations, closer, kernel), cost)
             scale = closer
         trial = linearize(problem, candidate, scale, kernel)
         n_iterations += is_running
@@ -158,7 +150,7 @@ def minimize(
         changed = new_scale != scale
         if np.any(changed):
             scale = new_scale
-            cost = np.where(changed, _cost(equations, scale, kernel), np.where(take, equations.cost_px2, cost))
+            cost = np.where(changed, cost_under(equations, scale, kernel), np.where(take, equations.cost_px2, cost))
         else:
             cost = np.where(take, equations.cost_px2, cost)
     return Minimum(estimate, equations, scale, kernel, n_iterations, is_converged, options)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import LastIteration, robust_costs
+from binocal.native import LastIteration
 from binocal.native import observe as _observe
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
@@ -22,6 +22,7 @@ from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
     BundleStep,
+    cost_under,
     linearize,
     noise_estimate_px,
     residual_lengths2,
@@ -192,16 +193,6 @@ def _with_lost_views_home(
         R_left_board=np.where(is_lost[..., None, None], R, candidate.R_left_board),
         t_left_board=np.where(is_lost[..., None], t, candidate.t_left_board),
     )
-
-
-def cost_under(
-    equations: BundleEquations, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
-) -> Float[ndarray, "*batch"]:
-    """Robust cost of stored residuals under another scale of the kernel."""
-    total = scale_px**2 * equations.prior_energy
-    for e in equations.cameras:
-        total = total + robust_costs(e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1), scale_px, kernel)
-    return np.where(np.isfinite(equations.cost_px2), total, np.inf)
 
 
 OBSERVED = (
