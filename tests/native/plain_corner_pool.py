@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 MIN_CORNERS_TO_POOL, LEAST_SLOPE_SPREAD, NOISE_SPREAD, MAX_MISFIT = 12, 2e-5, 1.3, 0.1
+FAR_OFF, MOST_BEND_PX = 3.5, 0.1
 
 
 def pool(fits, board_xy):
@@ -42,7 +43,13 @@ def bending_shift(board_xy, points, fits, is_sound):
             columns.append(factor * xy[:, 0] ** max(i - dx, 0) * xy[:, 1] ** max(j - dy, 0))
         return np.stack(columns, axis=-1)
 
-    coefficients = np.linalg.lstsq(basis(0, 0)[is_sound], points[is_sound], rcond=None)[0]
+    terms, is_kept = basis(0, 0), is_sound.copy()
+    for _ in range(5):
+        if is_kept.sum() < len(powers) + 2:
+            return np.zeros_like(points)
+        coefficients = np.linalg.lstsq(terms[is_kept], points[is_kept], rcond=None)[0]
+        off = np.linalg.norm(points - terms @ coefficients, axis=1)
+        is_kept = is_sound & (off <= FAR_OFF * max(np.sqrt(np.median(off[is_sound] ** 2)), 1e-3))
     blur = fits.blur_px.mean(axis=1)
     mean_t2 = fits.radius_px**2 / 3 / np.maximum(1 - 1.13 * blur / fits.radius_px, 0.3)
     normals, offsets = [], []
@@ -54,7 +61,8 @@ def bending_shift(board_xy, points, fits, is_sound):
         offsets.append(0.5 * (normal * second).sum(axis=1) / length2 * mean_t2)
     (a, b), (c, d) = (normals[0].T, normals[1].T)
     determinant = a * d - b * c
-    determinant = np.where(np.abs(determinant) > 0.1, determinant, np.nan)
+    is_usable = (np.abs(determinant) > 0.1) & (np.abs(offsets).max(axis=0) < MOST_BEND_PX)
+    determinant = np.where(is_usable, determinant, np.nan)
     shift = np.stack([d * offsets[0] - b * offsets[1], a * offsets[1] - c * offsets[0]], axis=-1) / determinant[:, None]
     return np.nan_to_num(shift)
 

@@ -13,9 +13,10 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.growth import grow
 from binocal.detection.lattice import Lattice, continues_beyond, find_lattices, link_corners
 from binocal.detection.refinement import measure_corners
-from binocal.detection.regularity import find_irregular
+from binocal.detection.regularity import expected_points, find_irregular
 from binocal.detection.xcorners import SaddlePicture, XCorners, find_x_corners, localize_saddles, read_rings
 from binocal.native import pictures
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 # Of a board whose outline is complete; below it the view is too doubtful to keep. The border of a shadow across a board of
 # eight columns costs a fifth of the corners.
 MIN_SHARE_SEEN = 0.75
+MIN_SHARE_TO_LOOK_AGAIN = 0.5  # of the corners, to say where the missing ones are
 MIN_SHARE_OF_OTHER = 0.85  # of a board of another size, which is only a board if it is nearly whole
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
@@ -77,6 +79,8 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
     seen: list[tuple[Lattice, _Level]] = []  # lattices of the board's size, nearly whole
     least, most_seen = MIN_SHARE_SEEN * board.n_points, 0
     other: Lattice | None = None
+    part: tuple[Lattice, _Level] | None = None  # the largest lattice of all, whole or not
+    several: list[Lattice] = []
     previous: tuple[int, int] | None = None
     failed: FoundBoard | None = None
     for level in _search_levels(picture, size):
@@ -98,7 +102,11 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
             continue
         rivals = _boards(level.lattices)
         if len(rivals) > 1:
-            return failed or _several(board, rivals)
+            several = several or rivals  # or pieces of one, which a finer look puts together
+            continue
+        for lattice in level.lattices:
+            if min(lattice.points_px.shape[:2]) >= 3 and (part is None or lattice.n_seen > part[0].n_seen):
+                part = lattice, level
         if rivals and (other is None or rivals[0].n_seen > other.n_seen):
             other = rivals[0]
         larger = rivals[0].size if rivals and (rivals[0].size[0] > size[0] or rivals[0].size[1] > size[1]) else None
@@ -112,6 +120,10 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
         failed = failed or found
     if failed is not None:
         return failed
+    if several:
+        return _several(board, several)
+    if part is not None and (whole := _grown(grey, picture, board, *part)) is not None:
+        return whole
     spec = f"{board.columns}x{board.rows}"
     if other is None or most_seen >= other.n_seen:
         text = f"only {most_seen} of the {board.n_points} corners were seen" if most_seen else "no chessboard found"
@@ -273,11 +285,11 @@ def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice
     points, covariance = measure_corners(grey, coarse, board.object_points_m[:, :2], _reach(grid).ravel())
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
     points[_are_faint(level.saddles.smooth, (points + 0.5) * level.scale - 0.5, spacing * level.scale)] = np.nan
+    xy = board.object_points_m[:, :2]
+    _drop_irregular(xy, points, spacing, MIN_SHARE_SEEN)
     seen = np.isfinite(points[:, 0])
-    if seen.sum() >= max(4, MIN_SHARE_SEEN * board.n_points):
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
-            np.nan
-        )
+    if not seen.all() and seen.sum() >= max(8, MIN_SHARE_TO_LOOK_AGAIN * board.n_points):
+        _look_again(grey, picture, level, xy, points, covariance, grid.shape)
         seen = np.isfinite(points[:, 0])
     if seen.sum() < max(4, MIN_SHARE_SEEN * board.n_points):
         return not_found(
@@ -291,6 +303,58 @@ def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice
         notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the picture")
     covariance[~seen] = np.nan
     return FoundBoard(points, covariance, note="; ".join(notes))
+
+
+def _grown(
+    grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, part: Lattice, level: _Level
+) -> FoundBoard | None:
+    """The board that a lattice of fewer lines is a part of, None if there is none."""
+    size = (max(board.columns, board.rows), min(board.columns, board.rows))
+    if part.size[0] > size[0] or part.size[1] > size[1] or part.size == size:
+        return None
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
+    grown = grow(grey, smooth, (part.points_px + 0.5) / level.scale - 0.5, size)
+    if grown is None:
+        return None
+    points, n_before = grown
+    whole = Lattice((points + 0.5) * level.scale - 0.5, part.is_dark_first ^ bool(n_before % 2), part.contrast_dn)
+    found = _finish(grey, picture, board, whole, level)
+    return found if found.is_found else None
+
+
+def _drop_irregular(
+    xy: Float[ndarray, "n 2"], points: Float[ndarray, "n 2"], spacing: Float[ndarray, "n"], least_share: float
+) -> None:
+    """Points off the smooth image of the board become NaN, if there are enough to say so."""
+    seen = np.isfinite(points[:, 0])
+    if seen.sum() >= max(4, least_share * len(points)):
+        points[np.nonzero(seen)[0][find_irregular(xy[seen], points[seen], spacing[seen])]] = np.nan
+
+
+def _look_again(
+    grey: ndarray,
+    picture: UInt8[ndarray, "h w"],
+    level: _Level,
+    xy: Float[ndarray, "n 2"],
+    points: Float[ndarray, "n 2"],
+    covariance: Float[ndarray, "n 2 2"],
+    shape: tuple[int, ...],
+) -> None:
+    """Corners that are missing, once more, from where the others say that they are: a lattice may lose its way."""
+    seen = np.isfinite(points[:, 0])
+    expected = expected_points(xy, points, float(np.nanmedian(_spacing(points.reshape(shape)))))
+    height, width = picture.shape
+    if not ((expected > 0) & (expected < [width - 1, height - 1])).all():
+        expected[~((expected > 0) & (expected < [width - 1, height - 1])).all(axis=1)] = np.nan
+    whole = np.where(seen[:, None], points, expected).reshape(shape)
+    spacing, reach = _spacing(whole).ravel(), _reach(whole).ravel()
+    coarse = localize_saddles(picture, np.where(seen[:, None], np.nan, expected), spacing)
+    found, of_found = measure_corners(grey, coarse, xy, reach)
+    found[~(np.linalg.norm(found - expected, axis=1) < 0.3 * spacing)] = np.nan
+    points[~seen], covariance[~seen] = found[~seen], of_found[~seen]
+    faint = _are_faint(level.saddles.smooth, (points + 0.5) * level.scale - 0.5, spacing * level.scale)
+    points[faint & ~seen] = np.nan
+    _drop_irregular(xy, points, spacing, MIN_SHARE_TO_LOOK_AGAIN)
 
 
 def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2"], is_dark_first: bool) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,25 @@ def grid_residuals(
     ``tolerance_px`` keeps a weight: a part of the points, shifted a little by a shadow, must not be left to extrapolation.
     All infinite where the plane would be folded or seen from behind.
     """
+    return _fit_smooth(board_xy, points_px, n_rounds, tolerance_px)[0]
+
+
+def expected_points(
+    board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], spacing_px: float
+) -> Float[ndarray, "n 2"]:
+    """Where all points of a board should lie by the smooth image of the plane through those that are known, not NaN.
+
+    NaN where that image is folded.
+    """
+    seen = np.isfinite(points_px[:, 0])
+    _, image = _fit_smooth(board_xy[seen], points_px[seen], 6, max(0.3, 0.05 * spacing_px))
+    return np.full(board_xy.shape, np.nan) if image is None else image(board_xy)
+
+
+def _fit_smooth(
+    board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], n_rounds: int, tolerance_px: float
+) -> tuple[Float[ndarray, "n"], Callable[[ndarray], ndarray] | None]:
+    """Residuals, and the smooth image of the plane as a function; see :func:`grid_residuals`."""
     n = len(points_px)
     centre, scale = board_xy.mean(axis=0), np.abs(board_xy - board_xy.mean(axis=0)).max() or 1.0
     xy = (board_xy - centre) / scale
@@ -29,7 +49,8 @@ def grid_residuals(
     degree = 3 if n >= 40 else 2 if n >= 20 else 1 if n >= 12 else 0
     # Constant and linear terms too: the homography minimises an algebraic error and leaves some of them.
     powers = [(a, b - a) for b in range(degree + 1) for a in range(b + 1)]
-    basis = np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in powers], axis=-1) if degree else None
+    basis = _terms(xy, powers) if degree else None
+    coefficients = None
     for _ in range(n_rounds):
         H = fit_homography(xy, points_px, weight)
         homogeneous = np.column_stack([xy, np.ones(n)]) @ H.T
@@ -37,15 +58,27 @@ def grid_residuals(
         # One sign of w: no fold. det H over w cubed is the mapping's Jacobian: positive for a board seen from its
         # front.
         if not np.isfinite(H).all() or not (w * w[0] > 0).all() or np.linalg.det(H) * w[0] <= 0:
-            return np.full(n, np.inf)
+            return np.full(n, np.inf), None
         off = points_px - homogeneous[:, :2] / w[:, None]
         root = np.sqrt(weight)[:, None]
         if basis is not None:
-            off = off - basis @ np.linalg.lstsq(root * basis, root * off, rcond=None)[0]
+            coefficients = np.linalg.lstsq(root * basis, root * off, rcond=None)[0]
+            off = off - basis @ coefficients
         residual = np.linalg.norm(off, axis=1)
         cut = 4.7 * max(1.4826 * float(np.median(residual)) / 1.1774, 1e-6) + tolerance_px
         weight = np.clip(1 - (residual / cut) ** 2, 0, 1) ** 2 + 1e-9
-    return residual
+
+    def image(places: ndarray) -> ndarray:
+        at = (places - centre) / scale
+        homogeneous = np.column_stack([at, np.ones(len(at))]) @ H.T
+        points = homogeneous[:, :2] / homogeneous[:, 2:]
+        return points if coefficients is None else points + _terms(at, powers) @ coefficients
+
+    return residual, image
+
+
+def _terms(xy: Float[ndarray, "n 2"], powers: list[tuple[int, int]]) -> Float[ndarray, "n t"]:
+    return np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in powers], axis=-1)
 
 
 def fit_homography(

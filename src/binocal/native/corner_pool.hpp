@@ -12,6 +12,8 @@ constexpr std::size_t kMinCornersToPool = 12;  // below it a fit of the light's 
 constexpr double kLeastSlopeSpread = 2e-5;     // 1/px; what paper and lens do on a board's scale even in even light
 constexpr double kNoiseSpread = 1.3;           // noise variance over the picture's median that dark and bright pixels, or JPEG, explain
 constexpr double kMaxMisfit = 0.1;             // of the contrast: odd residuals beyond it are an occlusion or a glare, not a corner
+constexpr double kFarOff = 3.5;                // times the median distance from a smooth board: not a corner of it
+constexpr double kMostBend = 0.1;              // px; a strong fisheye's edges bend a corner by .02
 constexpr double kRounding = 1.0 / 12;         // grey levels^2
 
 struct PooledCorner {
@@ -180,14 +182,27 @@ inline void unbend(const CornerResult* fits, std::size_t n, const double* board_
         }
     };
     Terms terms;
-    LeastSquares fit(n_terms);
-    for (std::size_t i : sound) {
-        terms_at(i, terms);
-        fit.add(terms.value, 1, out[i].x, out[i].y);
+    double c[2][15], limit2 = std::numeric_limits<double>::infinity();
+    std::vector<double> off2(sound.size(), 0.0);
+    for (int round = 0; round < 5; ++round) {  // a corner that was led astray would bend the edges of all the others
+        LeastSquares fit(n_terms);
+        std::size_t n_kept = 0;
+        for (std::size_t k = 0; k < sound.size(); ++k) {
+            if (off2[k] > limit2) continue;
+            terms_at(sound[k], terms);
+            fit.add(terms.value, 1, out[sound[k]].x, out[sound[k]].y);
+            ++n_kept;
+        }
+        if (n_kept < static_cast<std::size_t>(n_terms) + 2 || !fit.factorize()) return;
+        for (int side : {0, 1}) fit.solve(side, c[side]);
+        for (std::size_t k = 0; k < sound.size(); ++k) {
+            terms_at(sound[k], terms);
+            double x = out[sound[k]].x, y = out[sound[k]].y;
+            for (int m = 0; m < n_terms; ++m) x -= terms.value[m] * c[0][m], y -= terms.value[m] * c[1][m];
+            off2[k] = x * x + y * y;
+        }
+        limit2 = kFarOff * kFarOff * std::max(median_of(off2), 1e-6);
     }
-    if (!fit.factorize()) return;
-    double c[2][15];
-    for (int side : {0, 1}) fit.solve(side, c[side]);
     for (std::size_t i = 0; i < n; ++i) {
         if (!std::isfinite(out[i].x)) continue;
         terms_at(i, terms);
@@ -204,7 +219,7 @@ inline void unbend(const CornerResult* fits, std::size_t n, const double* board_
             offset[axis] = 0.5 * (normal[axis][0] * second[0] + normal[axis][1] * second[1]) / length2 * mean_t2;
         }
         const double determinant = normal[0][0] * normal[1][1] - normal[0][1] * normal[1][0];
-        if (!(std::fabs(determinant) > 0.1)) continue;
+        if (!(std::fabs(determinant) > 0.1) || !(std::max(std::fabs(offset[0]), std::fabs(offset[1])) < kMostBend)) continue;
         out[i].x -= (normal[1][1] * offset[0] - normal[0][1] * offset[1]) / determinant;
         out[i].y -= (normal[0][0] * offset[1] - normal[1][0] * offset[0]) / determinant;
     }
