@@ -53,7 +53,8 @@ def test_a_plain_wall_and_a_piece_too_small_grow_nothing(scene):
 
 
 @pytest.mark.parametrize(
-    ("index", "least_seen"), [(1155, 88), (1546, 54), (2923, 88), (3346, 54), (3356, 85), (3661, 40), (4599, 80)]
+    ("index", "least_seen"),
+    [(1155, 88), (1546, 54), (2923, 88), (3346, 54), (3356, 85), (3661, 40), (4599, 80), (1763, 75), (4782, 70)],
 )
 def test_boards_seen_from_the_side_are_found_with_every_corner_in_its_place(index, least_seen):
     # 1155: a lattice that had lost its way threw all corners of the board off by up to 3 px, with a sigma of .02

@@ -26,9 +26,11 @@ if TYPE_CHECKING:
 # Of a board whose outline is complete; below it the view is too doubtful to keep. The border of a shadow across a board of
 # eight columns costs a fifth of the corners.
 MIN_SHARE_SEEN = 0.75
-MIN_SHARE_TO_LOOK_AGAIN = 0.5  # of the corners, to say where the missing ones are
+MIN_SHARE_TO_LOOK_AGAIN = 0.4  # of the corners, to say where the missing ones are
 MIN_SHARE_OF_OTHER = 0.85  # of a board of another size, which is only a board if it is nearly whole
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
+LEAST_LINKED_TO_STRETCH = 8  # chance seldom links more than six corners
+STRETCHES = 8  # directions of a half turn
 COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
 MOST_KEPT_PIXELS = 1 << 21  # 1920x1080: at most 100 MB a thread
 _RIVAL_SPACING = (
@@ -38,12 +40,25 @@ _RIVAL_SPACING = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """One search: the lattices in a picture scaled by ``scale``, in that picture's pixels."""
+    """One search: the lattices in a scaled or stretched picture, in that picture's pixels.
+
+    ``matrix`` takes the picture's pixels to these.
+    """
 
     saddles: SaddlePicture
     corners: XCorners
-    scale: float
+    matrix: Float[ndarray, "2 3"]
     lattices: list[Lattice]
+    is_stretched: bool = False
+    """And shows a part of the picture only."""
+
+    def from_picture(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
+        """Points of the picture in this one."""
+        return points @ self.matrix[:, :2].T + self.matrix[:, 2]
+
+    def to_picture(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
+        """Points of this picture in the whole one."""
+        return (points - self.matrix[:, 2]) @ np.linalg.inv(self.matrix[:, :2]).T
 
 
 class _Planes(threading.local):
@@ -84,6 +99,8 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
     previous: tuple[int, int] | None = None
     failed: FoundBoard | None = None
     for level in _search_levels(picture, size):
+        if level.is_stretched and (failed or several):
+            break  # a part of the picture must not overrule what the whole of it showed
         exact = [lattice for lattice in level.lattices if lattice.size == size]
         is_second_look = bool(seen)
         if exact:
@@ -157,7 +174,7 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
         pyramid.append(cv2.resize(pyramid[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
     most = 1200 if size is None else max(400, 4 * size[0] * size[1])
-    most_linked = 0
+    most_linked, linked = 0, np.zeros((0, 2))
     for index, (halved, sigma, radius_px, least_linked) in enumerate(_level_settings(halvings)):
         if most_linked < least_linked:
             continue
@@ -172,8 +189,46 @@ def _search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None)
         saddles = SaddlePicture.of(cv2.GaussianBlur(exact, (0, 0), sigma, dst=smooth), radius_px, response)
         corners = find_x_corners(saddles, most=most)
         groups = link_corners(saddles, corners)
-        most_linked = max([most_linked, *map(len, groups[:1])])
-        yield _Level(saddles, corners, 0.5**halved, find_lattices(saddles, corners, groups, least=least, size=size))
+        if groups and len(groups[0]) > most_linked:
+            most_linked = len(groups[0])
+            linked = (corners.points_px[groups[0].members] + 0.5) / 0.5**halved - 0.5
+        lattices = find_lattices(saddles, corners, groups, least=least, size=size)
+        yield _Level(saddles, corners, _scaling(0.5**halved), lattices)
+    if size is None or most_linked < LEAST_LINKED_TO_STRETCH:
+        return
+    for angle in np.linspace(0, np.pi, STRETCHES, endpoint=False):
+        stretched, matrix = _stretched(picture, linked, angle)
+        saddles = SaddlePicture.of(cv2.GaussianBlur(stretched, (0, 0), 1.5), 5.0)
+        corners = find_x_corners(saddles, most=most)
+        groups = link_corners(saddles, corners)
+        lattices = find_lattices(saddles, corners, groups, least=least, size=size)
+        yield _Level(saddles, corners, matrix, lattices, is_stretched=True)
+
+
+def _scaling(scale: float) -> Float[ndarray, "2 3"]:
+    """Pixel centres are whole numbers before and after."""
+    shift = 0.5 * scale - 0.5
+    return np.array([[scale, 0, shift], [0, scale, shift]])
+
+
+def _stretched(
+    picture: UInt8[ndarray, "h w"], linked_px: Float[ndarray, "n 2"], angle: float
+) -> tuple[Float32[ndarray, "h w"], Float[ndarray, "2 3"]]:
+    """The picture about some corners, drawn to half its length along a direction and twice across.
+
+    There slender rhombi are nearly squares. The corners are a part of a board that may reach thrice as far.
+    """
+    along = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-along[1], along[0]])
+    A = 0.5 * np.outer(along, along) + 2.0 * np.outer(across, across)
+    reach = np.ptp(linked_px, axis=0).max() + 20
+    low = np.maximum(linked_px.min(axis=0) - reach, 0)
+    high = np.minimum(linked_px.max(axis=0) + reach, np.array(picture.shape[::-1]) - 1)
+    outline = np.array([low, [high[0], low[1]], [low[0], high[1]], high]) @ A.T
+    matrix = np.column_stack([A, -outline.min(axis=0)])
+    size = tuple(int(n) for n in np.ceil(np.ptp(outline, axis=0)) + 1)
+    drawn = cv2.warpAffine(picture.astype(np.float32), matrix, size, borderMode=cv2.BORDER_REPLICATE)
+    return drawn, matrix
 
 
 def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
@@ -279,16 +334,16 @@ def _finish(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice
         return not_found(
             board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
         )
-    grid = (_orient(lattice, board) + 0.5) / level.scale - 0.5
+    grid = level.to_picture(_orient(lattice, board))
     spacing = _spacing(grid).ravel()
     coarse = localize_saddles(picture, grid.reshape(-1, 2), spacing)
     points, covariance = measure_corners(grey, coarse, board.object_points_m[:, :2], _reach(grid).ravel())
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
-    points[_are_faint(level.saddles.smooth, (points + 0.5) * level.scale - 0.5, spacing * level.scale)] = np.nan
+    points[_are_faint(level, points, grid)] = np.nan
     xy = board.object_points_m[:, :2]
     _drop_irregular(xy, points, spacing, MIN_SHARE_SEEN)
     seen = np.isfinite(points[:, 0])
-    if not seen.all() and seen.sum() >= max(8, MIN_SHARE_TO_LOOK_AGAIN * board.n_points):
+    if not seen.all() and seen.sum() >= max(12, MIN_SHARE_TO_LOOK_AGAIN * board.n_points):
         _look_again(grey, picture, level, xy, points, covariance, grid.shape)
         seen = np.isfinite(points[:, 0])
     if seen.sum() < max(4, MIN_SHARE_SEEN * board.n_points):
@@ -313,11 +368,11 @@ def _grown(
     if part.size[0] > size[0] or part.size[1] > size[1] or part.size == size:
         return None
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
-    grown = grow(grey, smooth, (part.points_px + 0.5) / level.scale - 0.5, size)
+    grown = grow(grey, smooth, level.to_picture(part.points_px), size)
     if grown is None:
         return None
     points, n_before = grown
-    whole = Lattice((points + 0.5) * level.scale - 0.5, part.is_dark_first ^ bool(n_before % 2), part.contrast_dn)
+    whole = Lattice(level.from_picture(points), part.is_dark_first ^ bool(n_before % 2), part.contrast_dn)
     found = _finish(grey, picture, board, whole, level)
     return found if found.is_found else None
 
@@ -352,8 +407,7 @@ def _look_again(
     found, of_found = measure_corners(grey, coarse, xy, reach)
     found[~(np.linalg.norm(found - expected, axis=1) < 0.3 * spacing)] = np.nan
     points[~seen], covariance[~seen] = found[~seen], of_found[~seen]
-    faint = _are_faint(level.saddles.smooth, (points + 0.5) * level.scale - 0.5, spacing * level.scale)
-    points[faint & ~seen] = np.nan
+    points[_are_faint(level, points, whole) & ~seen] = np.nan
     _drop_irregular(xy, points, spacing, MIN_SHARE_TO_LOOK_AGAIN)
 
 
@@ -381,12 +435,16 @@ def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2
     return bool(np.median(share_dark) > 0.25)
 
 
-def _are_faint(smooth: ndarray, points: Float[ndarray, "n 2"], spacing: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
-    """Which points do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
+def _are_faint(
+    level: _Level, points_px: Float[ndarray, "n 2"], grid_px: Float[ndarray, "rows columns 2"]
+) -> Bool[ndarray, "n"]:
+    """Which points of the picture do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
 
     Contrast is taken absolutely and relative to the brightness about the corner, because a shadow dims both. Says
     nothing (all False) where most points fail: a picture too blurred for rings of this size is not covered everywhere.
     """
+    smooth, points = level.saddles.smooth, level.from_picture(points_px)
+    spacing = _spacing(level.from_picture(grid_px)).ravel()
     seen = np.isfinite(points[:, 0])
     faint = np.zeros(len(points), bool)
     if not seen.any():
