@@ -38,6 +38,15 @@ _RIVAL_SPACING = (
 )
 
 
+_ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
+_NEIGHBOURS = (  # of a grid: the two ends of the steps along rows, columns and both diagonals
+    ((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)),
+    ((_BUT_LAST, _ALL), (_BUT_FIRST, _ALL)),
+    ((_BUT_LAST, _BUT_LAST), (_BUT_FIRST, _BUT_FIRST)),
+    ((_BUT_LAST, _BUT_FIRST), (_BUT_FIRST, _BUT_LAST)),
+)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
     """One search: the lattices in a scaled or stretched picture, in that picture's pixels.
@@ -295,31 +304,28 @@ def _cells(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "n 2"]:
 
 def _spacing(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows columns"]:
     """Distance from each corner to the nearest of its four neighbours, and of the diagonal ones; NaN without any."""
-    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    rows, columns = grid.shape[:2]
-    steps = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]
-    distances = np.stack(
-        [np.linalg.norm(padded[1 + dy : rows + 1 + dy, 1 + dx : columns + 1 + dx] - grid, axis=-1) for dy, dx in steps]
-    )
-    nearest = np.where(np.isfinite(distances), distances, np.inf).min(axis=0)
-    return np.where(np.isfinite(nearest), nearest, np.nan)
+    nearest = np.full(grid.shape[:2], np.inf)
+    x, y = grid[..., 0], grid[..., 1]
+    for here, there in _NEIGHBOURS:
+        distance = np.hypot(x[there] - x[here], y[there] - y[here])
+        for end in (here, there):
+            np.fmin(nearest[end], distance, out=nearest[end])
+    nearest[np.isinf(nearest)] = np.nan
+    return nearest
 
 
 def _reach(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows columns"]:
     """Distance from each corner to the nearest grid line that does not pass through it; NaN without neighbours."""
-    rows, columns = grid.shape[:2]
-    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    steps = {
-        (dy, dx): padded[1 + dy : rows + 1 + dy, 1 + dx : columns + 1 + dx] - grid
-        for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0))
-    }
-    distances = []
-    for across, along in (((0, 1), (1, 0)), ((1, 0), (0, 1))):
-        for step in (steps[across], steps[-across[0], -across[1]]):
-            for line in (steps[along], steps[-along[0], -along[1]]):
-                cross = np.abs(step[..., 0] * line[..., 1] - step[..., 1] * line[..., 0])
-                distances.append(cross / np.maximum(np.linalg.norm(line, axis=-1), 1e-9))
-    nearest = np.fmin.reduce(distances)
+    right, down = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
+    right[:, :-1], down[:-1] = np.diff(grid, axis=1), np.diff(grid, axis=0)
+    left, up = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
+    left[:, 1:], up[1:] = right[:, :-1], down[:-1]
+    ways = np.stack([right, left, down, up], axis=-1)  # (rows, columns, 2, 4)
+    x, y = ways[..., 0, :], ways[..., 1, :]
+    length = np.maximum(np.hypot(x, y), 1e-9)
+    cross = np.abs(x[..., :2, None] * y[..., None, 2:] - y[..., :2, None] * x[..., None, 2:])
+    lines = np.concatenate([cross / length[..., None, 2:], cross / length[..., :2, None]], axis=-1)
+    nearest = np.fmin.reduce(lines.reshape(*grid.shape[:2], -1), axis=-1)
     return np.where(nearest > 0, nearest, np.nan)
 
 
@@ -420,12 +426,14 @@ def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2
     share = np.linspace(0.2, 0.8, 7)
     v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
-    values = pictures.sample(smooth, weights @ corners)
+    places = np.tensordot(corners, weights, axes=(2, 1)).transpose(0, 1, 3, 2)  # (rows, columns, samples, 2)
+    values = pictures.sample(smooth, places)
     rows, columns = values.shape[:2]
     is_whole = np.isfinite(corners[..., 0]).all(axis=2)
     is_bright = ((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)) & is_whole
     middle = np.where(is_whole & ~is_bright, values.mean(axis=-1), np.nan)
-    around = np.pad(middle, 1, constant_values=np.nan)
+    around = np.full((rows + 2, columns + 2), np.nan)
+    around[1:-1, 1:-1] = middle
     dark = np.fmax(np.fmax(around[:-2, 1:-1], around[2:, 1:-1]), np.fmax(around[1:-1, :-2], around[1:-1, 2:]))
     usable = is_bright & np.isfinite(dark)
     if not usable.any():
@@ -464,7 +472,8 @@ def _orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:
     grid, is_dark_first = lattice.points_px, lattice.is_dark_first
     for _ in range(4):
         if grid.shape[:2] == (board.rows, board.columns):
-            way = np.nanmean(grid[:, -1] - grid[:, 0], axis=0)
+            ways = grid[:, -1] - grid[:, 0]
+            way = ways[np.isfinite(ways[:, 0])].mean(axis=0)
             choices.append((is_dark_first, float(way.sum() / np.linalg.norm(way)), grid))
         # The next first corner is the present row's last; its outward square is of the other colour unless the row is
         # even.

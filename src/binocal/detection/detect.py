@@ -98,10 +98,11 @@ def _measure_range(grey: ndarray) -> tuple[float, float, str]:
     step = max(1, min(grey.shape) // 120)
     values = np.ascontiguousarray(grey[::step, ::step]).ravel()
     ranks = (int(0.005 * (values.size - 1)), int(np.ceil(0.995 * (values.size - 1))))
-    low, high = (float(value) for value in np.partition(values, ranks)[list(ranks)])
+    levels = np.bincount(values)
+    low, high = (float(level) for level in np.searchsorted(np.cumsum(levels), ranks, side="right"))
     span = high - low
-    top = 255.0 if grey.dtype == np.uint8 else float(grey.max())
-    share = float(np.mean(values >= top - (1 if grey.dtype == np.uint8 else 0)))
+    top = 255 if grey.dtype == np.uint8 else int(grey.max())
+    share = float(levels[top - (1 if grey.dtype == np.uint8 else 0) :].sum() / values.size)
     if share > 0.6 and top > 0:
         return low, 1.0, f"the picture is overexposed ({100 * share:.0f} % of it is saturated)"
     least = BLANK_DN if grey.dtype == np.uint8 else 16.0

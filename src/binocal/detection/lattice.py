@@ -384,14 +384,12 @@ def _sides_to_try(corners: XCorners, grid: Float[ndarray, "rows columns 2"]) -> 
     """The sides (top, bottom, left, right) beyond which half of the next row's corners are among the ``corners``."""
     if len(corners) == 0:
         return []
-    sides = []
-    for side, (near, far) in enumerate(
-        ((grid[0], grid[1]), (grid[-1], grid[-2]), (grid[:, 0], grid[:, 1]), (grid[:, -1], grid[:, -2]))
-    ):
-        step = near - far
-        off = (near + step)[:, None] - corners.points_px
-        reach = 0.3 * np.sqrt((step**2).sum(axis=-1))
-        n_seen = np.count_nonzero((off**2).sum(axis=-1).min(axis=1) < reach**2)  # False for NaN
-        if 2 * n_seen >= np.count_nonzero(np.isfinite(reach)):
-            sides.append(side)
-    return sides
+    lines = ((grid[0], grid[1]), (grid[-1], grid[-2]), (grid[:, 0], grid[:, 1]), (grid[:, -1], grid[:, -2]))
+    near, far = (np.concatenate(points) for points in zip(*lines, strict=True))
+    step = near - far
+    x, y = (near + step).T
+    off2 = ((x[:, None] - corners.points_px[:, 0]) ** 2 + (y[:, None] - corners.points_px[:, 1]) ** 2).min(axis=1)
+    length2 = step[:, 0] ** 2 + step[:, 1] ** 2
+    votes = np.where(np.isfinite(length2), np.where(off2 < 0.3**2 * length2, 1, -1), 0)
+    ends = np.cumsum([len(points) for points, _ in lines])
+    return [side for side, of_line in enumerate(np.split(votes, ends[:-1])) if of_line.sum() >= 0]

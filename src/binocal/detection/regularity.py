@@ -78,7 +78,8 @@ def _fit_smooth(
 
 
 def _terms(xy: Float[ndarray, "n 2"], powers: list[tuple[int, int]]) -> Float[ndarray, "n t"]:
-    return np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in powers], axis=-1)
+    x, y = ([np.ones(len(xy)), axis, axis * axis, axis * axis * axis] for axis in xy.T)
+    return np.stack([x[a] * y[b] for a, b in powers], axis=-1)
 
 
 def fit_homography(
@@ -90,18 +91,19 @@ def fit_homography(
     """
     mean, spread = points_px.mean(axis=0), points_px.std() or 1.0
     uv = (points_px - mean) / spread
-    one, zero = np.ones(len(xy)), np.zeros((len(xy), 3))
-    plane = np.column_stack([xy, one])
-    rows = np.concatenate(
-        [np.column_stack([plane, zero, -uv[:, :1] * plane]), np.column_stack([zero, plane, -uv[:, 1:] * plane])]
-    )
+    rows = np.zeros((2, len(xy), 3, 3))
+    plane = rows[0, :, 0]
+    plane[:, :2], plane[:, 2] = xy, 1
     if weight is not None:
-        rows = rows * np.sqrt(np.concatenate([weight, weight]))[:, None]
-    _, values, V = np.linalg.svd(rows.T @ rows)
-    if not values[7] > 1e-14 * values[0]:
+        plane *= np.sqrt(weight)[:, None]
+    rows[1, :, 1] = plane
+    rows[:, :, 2] = -uv.T[..., None] * plane
+    rows = rows.reshape(-1, 9)
+    values, V = np.linalg.eigh(rows.T @ rows)
+    if not values[1] > 1e-14 * values[8]:
         return np.full((3, 3), np.nan)
     back = np.array([[spread, 0, mean[0]], [0, spread, mean[1]], [0, 0, 1]])
-    H = back @ V[8].reshape(3, 3)
+    H = back @ V[:, 0].reshape(3, 3)
     return H * np.sign(H[2] @ np.append(xy.mean(axis=0), 1)) / np.linalg.norm(H)
 
 

@@ -46,6 +46,14 @@ BINOCAL_CLONED float greatest_of(const float* values, std::ptrdiff_t n) {
     return *std::max_element(most, most + 8);
 }
 
+// Which of n values in a row are at least `least` and no smaller than the four beside, above and below. No branch: in noise
+// every third value would be mispredicted.
+BINOCAL_CLONED void mark_tops(const float* row, std::ptrdiff_t width, std::ptrdiff_t n, float least, std::uint8_t* is_top) {
+    const float *above = row - width, *below = row + width;
+    for (std::ptrdiff_t i = 0; i < n; ++i)
+        is_top[i] = (row[i] >= least) & !(row[i - 1] > row[i]) & !(row[i + 1] > row[i]) & !(above[i] > row[i]) & !(below[i] > row[i]);
+}
+
 void saddle_response(const FloatPlane& smooth, FloatPlaneOut response) {
     const auto height = static_cast<std::ptrdiff_t>(smooth.shape(0)), width = static_cast<std::ptrdiff_t>(smooth.shape(1));
     if (response.shape(0) != smooth.shape(0) || response.shape(1) != smooth.shape(1) || height < 3 || width < 3)
@@ -63,7 +71,7 @@ void saddle_response(const FloatPlane& smooth, FloatPlaneOut response) {
 // Greatest values, at least `least`, in windows of 2 reach + 1, `margin` from the border: rows of x, y to a fraction of a pixel
 // (parabolas through the neighbours) in reading order, the `most` greatest. Returns how many.
 std::size_t find_peaks(const FloatPlane& response, std::ptrdiff_t reach, std::ptrdiff_t margin, float least, DoublesOut points) {
-    constexpr std::ptrdiff_t block = 32;
+    constexpr std::ptrdiff_t block = 64;
     const auto height = static_cast<std::ptrdiff_t>(response.shape(0)), width = static_cast<std::ptrdiff_t>(response.shape(1));
     if (reach < 1 || margin < 1) throw nb::value_error("windows reach, and stay, one pixel from the border at least");
     const float* values = response.data();
@@ -71,14 +79,16 @@ std::size_t find_peaks(const FloatPlane& response, std::ptrdiff_t reach, std::pt
     const std::size_t most = points.size() / 2;
     nb::gil_scoped_release unlocked;
     std::vector<const float*> peaks;
+    std::uint8_t is_top[block];
     for (std::ptrdiff_t y = margin; y < height - margin; ++y) {
         const float* row = values + y * width;
         for (std::ptrdiff_t start = margin; start < width - margin; start += block) {
             const std::ptrdiff_t stop = std::min(start + block, width - margin);
             if (!(greatest_of(row + start, stop - start) >= least)) continue;
+            mark_tops(row + start, width, stop - start, least, is_top);
             for (std::ptrdiff_t x = start; x < stop; ++x) {
+                if (!is_top[x - start]) continue;
                 const float value = row[x];
-                if (!(value >= least) || row[x - 1] > value || row[x + 1] > value) continue;
                 const std::ptrdiff_t left = std::max<std::ptrdiff_t>(x - reach, 0), right = std::min(x + reach, width - 1);
                 bool is_peak = true;
                 for (std::ptrdiff_t v = std::max<std::ptrdiff_t>(y - reach, 0); is_peak && v <= std::min(y + reach, height - 1); ++v)
