@@ -283,6 +283,7 @@ def _summary(tally: _Tally) -> dict[str, Any] | None:
         "over_bound_range": [float(ratios.min()), float(ratios.max())],
         "rms_px": float(np.sqrt(np.mean(errors**2))),
         "bias_px": errors.mean(axis=0).tolist(),
+        "bias_error_px": float(np.sqrt(np.mean(errors**2) / len(errors))),
         "n_corners": len(errors),
         "n_failed": tally.n_failed,
         "median_ms": 1e3 * float(np.median(tally.times_s)),
@@ -304,18 +305,18 @@ def _format(rows: list[dict[str, Any]], machine: str, pictures: int) -> str:
     names = ("binocal", "cornerSubPix", "SB", "SB accurate")
     lines = [
         f"corner error over the image-level bound, {BOARD}, {SIZE_WH[0]}x{SIZE_WH[1]}, {pictures} pictures a row ({machine})",
-        "rms (worst and best picture) -corners failed; bias: mean error, px; 1 and 2 sigma: share within what is stated",
+        "rms (worst and best picture) -corners failed; bias: mean error and its standard error, px; 1 and 2 sigma: share within what is stated",
         "",
-        f"{'case':<20}" + "".join(f"{name:>28}" for name in names) + f"{'bias':>18}{'1, 2 sigma':>14}{'ms':>22}",
+        f"{'case':<20}" + "".join(f"{name:>28}" for name in names) + f"{'bias':>27}{'1, 2 sigma':>14}{'ms':>22}",
     ]
     for row in rows:
         ours = row["binocal"]
-        bias = "{:+.4f} {:+.4f}".format(*ours.get("bias_px", (np.nan, np.nan)))
+        bias = "{:+.4f} {:+.4f} ± {:.4f}".format(*ours.get("bias_px", (np.nan,) * 2), ours.get("bias_error_px", np.nan))
         inside = f"{ours.get('within_1_sigma', np.nan):.2f} {ours.get('within_2_sigma', np.nan):.2f}"
         times = "/".join(f"{row[name]['median_ms']:.1f}" for name in names)
         lines.append(
             f"{row['case']:<20}"
             + "".join(f"{ratio(row[name]):>28}" for name in names)
-            + f"{bias:>18}{inside:>14}{times:>22}"
+            + f"{bias:>27}{inside:>14}{times:>22}"
         )
     return "\n".join(lines)
