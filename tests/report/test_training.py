@@ -41,6 +41,8 @@ def test_three_seeds_make_a_band_one_seed_a_line(tmp_path):
     assert "soft targets, 3 seeds: median, min to max" in text
     text, bands = drawn([made_up_run(7)], tmp_path / "one.svg")
     assert not bands and "soft targets, seed 7" in text
+    text, _ = drawn([made_up_run(7), made_up_run(7)], tmp_path / "twice.svg")
+    assert "soft targets, 2 runs: median, min to max" in text
 
 
 def test_hard_and_soft_stand_side_by_side(tmp_path):

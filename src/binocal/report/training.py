@@ -140,7 +140,8 @@ def _curve(
     steps = steps[:: max(1, -(-len(steps) // MAX_POINTS_DRAWN))]
     values = np.stack([np.interp(steps, x, y) for x, y in lines])
     n = len(lines)
-    label = f"{kind} targets, seed {group[0].seed}" if n == 1 else f"{kind} targets, {n} seeds: median, min to max"
+    what = "seeds" if len({run.seed for run in group}) == n else "runs"
+    label = f"{kind} targets, seed {group[0].seed}" if n == 1 else f"{kind} targets, {n} {what}: median, min to max"
     axes.plot(steps, np.median(values, axis=0), color=COLOURS[kind], linestyle=linestyle, linewidth=1.2, label=label)
     if n > 1:
         band = axes.fill_between(
