@@ -101,12 +101,12 @@ def steering_action(a: Float[ndarray, "*batch 6"], loop: LoopState) -> Action:
     """What six numbers in [-1, 1] ask of the solver. Not finite ones ask for plain Gauss-Newton."""
     a = np.where(np.isfinite(a), a, 0.0)
     decade = np.log(10)
-    pivot = np.nan_to_num(loop.newton.least_pivot, nan=1.0)
+    pivot = np.where(np.isnan(loop.newton.least_pivot), 1.0, loop.newton.least_pivot)
     return Action(
         pivot * LEAST_DAMPING * np.expm1(decade * DAMPING_DECADES * np.maximum(a[..., 0], 0.0)),
         np.exp(SCALE_REACH * a[..., 1]),
         np.exp(STRETCH_REACH * a[..., 2:4]),
-        np.clip(BEND_REACH * a[..., 4], 0.0, 1.0),
+        np.minimum(np.maximum(BEND_REACH * a[..., 4], 0.0), 1.0),
         pose_damping=LEAST_POSE_DAMPING * np.expm1(decade * POSE_DAMPING_DECADES * np.maximum(a[..., 5], 0.0)),
     )
 

@@ -51,14 +51,22 @@ class LedIteration:
 class SteeredMinimum:
     """The minimum and the way to it. ``handed_over`` says why a guard ended the lead early; empty if none did.
 
-    ``remaining_sigma`` is how far R and T were from the minimum where the controller left off, in standard deviations (norm
-    over all six; 0 where it was not asked).
+    ``left_off`` is where the controller's last iteration came to.
     """
 
+    problem: BundleProblem
     minimum: Minimum
     led: tuple[LedIteration, ...]
     handed_over: str
-    remaining_sigma: float
+    left_off: BundleEstimate
+
+    @property
+    def remaining_sigma(self) -> float:
+        """How far R and T were from the minimum where the controller left off, in standard deviations (norm over all six).
+
+        0 where it was not asked.
+        """
+        return _way_left_sigma(self.problem, self.left_off, self.minimum) if self.led else 0.0
 
 
 def minimize_steered(
@@ -102,9 +110,8 @@ def minimize_steered(
         minimum = minimize(problem, state.estimate, tail, scale_px=options.scale_factor * state.mad_px)
     else:
         minimum = minimize(problem, start, options, scale_px=state.scale_px, equations=state.equations)
-    remaining = _way_left_sigma(problem, state.estimate, minimum) if led else 0.0
     total = replace(minimum, n_iterations=minimum.n_iterations + len(led))
-    return SteeredMinimum(total, tuple(led), handed_over, remaining)
+    return SteeredMinimum(problem, total, tuple(led), handed_over, state.estimate)
 
 
 def _is_far(state: LoopState) -> bool:
@@ -150,4 +157,4 @@ def _is_finite(action: Action) -> bool:
         action.pose_damping,
         action.increment,
     )
-    return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
+    return all(part is None or bool(np.isfinite(part).all()) for part in parts)

@@ -120,22 +120,24 @@ def advance(problem: BundleProblem, state: LoopState, action: Action, kernel: ro
     trial = linearize(problem, candidate, scale, kernel)
     before = cost_under(state.equations, scale, kernel)
     is_kept = is_possible & (trial.cost_px2 < before)
-    with np.errstate(invalid="ignore", over="ignore"):
-        gain = np.nan_to_num((before - trial.cost_px2) / np.maximum(step.predicted_px2, 1e-30))
     if is_kept.all():
         estimate, equations = candidate, trial
     else:
         estimate = select_rigs(is_kept, candidate, state.estimate)
         equations = select_equations(is_kept, trial, state.equations)
+        scale, mad = np.where(is_kept, scale, state.scale_px), np.where(is_kept, mad, state.mad_px)
     newton = solve_step(problem, estimate, equations, np.zeros(mad.shape)) if is_kept.any() else state.newton
+    gain = np.full(mad.shape, -1.0)
+    fall = np.subtract(before, trial.cost_px2, out=np.zeros(mad.shape), where=is_kept)
+    np.divide(fall, np.maximum(step.predicted_px2, 1e-30), out=gain, where=is_kept)
     return LoopState(
         estimate,
         equations,
         newton,
-        np.where(is_kept, scale, state.scale_px),
-        np.where(is_kept, mad, state.mad_px),
+        scale,
+        mad,
         is_kept,
-        np.where(is_kept, np.clip(gain, 0.0, 3.0), -1.0),
+        np.minimum(gain, 3.0),
         state.mad_px,
         state.newton,
         state.home,
@@ -239,12 +241,14 @@ def observe(problem: BundleProblem, state: LoopState) -> Float[ndarray, "*batch 
 
 
 def _turn_rad(step: BundleStep) -> Float[ndarray, "*batch"]:
-    return np.linalg.norm(step.shared[..., -6:-3], axis=-1)
+    omega = step.shared[..., -6:-3]
+    return np.sqrt((omega * omega).sum(axis=-1))
 
 
 def _limited(step: BundleStep) -> BundleStep:
     """The step, shortened where it would turn the rig by more than a camera can turn and still see the board."""
-    share = np.minimum(1.0, LONGEST_TURN_RAD / np.maximum(_turn_rad(step), 1e-300))
-    if np.all(share == 1):
+    turn = _turn_rad(step)
+    if not (turn > LONGEST_TURN_RAD).any():
         return step
+    share = np.minimum(1.0, LONGEST_TURN_RAD / np.maximum(turn, 1e-300))
     return replace(step, shared=step.shared * share[..., None], views=step.views * share[..., None, None])
