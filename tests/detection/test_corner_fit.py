@@ -94,3 +94,22 @@ def test_few_corners_are_fitted_without_their_neighbours(shoot):
     assert none.points_px.shape == (0, 2) and np.isnan(none.noise_dn)
     nowhere = fit_corners(np.full((200, 200), 90, np.uint8), np.full((3, 2), 100.0), np.full(3, 30.0))
     assert np.isnan(nowhere.points_px).all() and np.isnan(nowhere.covariance_px2).all()
+
+
+def test_a_shadows_border_is_not_taken_for_the_boards_light(shoot):
+    scores = []
+    for seed in range(6):
+        shot = shoot(SPEC, seed=seed, noise_dn=0.0, **BIG)
+        rng = np.random.default_rng(seed)
+        rows, columns = np.indices(shot.image.shape)
+        middle, way = shot.corners_px[rng.integers(88)], rng.uniform(0, np.pi)
+        across = (columns - middle[0]) * np.cos(way) + (rows - middle[1]) * np.sin(way)
+        shaded = shot.image * (0.6 + 0.4 / (1 + np.exp(-across / 2.0)))
+        noisy = np.clip(np.rint(shaded + 2 * rng.standard_normal(shaded.shape)), 0, 255).astype(np.uint8)
+        fit = fit_shot(type(shot)(noisy, shot.board, shot.corners_px))
+        error = fit.points_px - shot.corners_px
+        score = np.einsum("ni,nij,nj->n", error, np.linalg.inv(fit.covariance_px2), error) / 2
+        scores.append(score[np.isfinite(score)])
+    scores = np.concatenate(scores)
+    assert len(scores) > 0.95 * 6 * 88
+    assert np.mean(scores) < 1.5 and np.mean(scores > 16) < 0.01

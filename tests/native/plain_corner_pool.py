@@ -6,6 +6,7 @@ import numpy as np
 
 MIN_CORNERS_TO_POOL, LEAST_SLOPE_SPREAD, NOISE_SPREAD, MAX_MISFIT = 12, 2e-5, 1.3, 0.1
 FAR_OFF, MOST_BEND_PX = 3.5, 0.1
+FAR_SLOPE, CHANCE, PIXELS_PER_CELL = 3.0, 8.0, 15.0
 
 
 def pool(fits, board_xy):
@@ -18,6 +19,9 @@ def pool(fits, board_xy):
     points, covariance = share_slope(fits.points_px, fits.light_slope, joint, is_fitted & (misfit < 2))
     if board_xy is not None:
         points -= bending_shift(board_xy, points, fits, is_fitted & (misfit < 2))
+    coherent = misfit - 1 - CHANCE / np.sqrt(np.maximum(fits.n_pixels, 1))
+    growth = (1 + np.maximum(coherent, 0) * fits.n_pixels / PIXELS_PER_CELL) / np.maximum(1, misfit / NOISE_SPREAD)
+    covariance *= np.maximum(growth, 1)[:, None, None]
     covariance += sampling_covariance(fits)
     points[~is_fitted] = np.nan
     covariance[~is_fitted] = np.nan
@@ -98,10 +102,12 @@ def share_slope(points, slope, joint, is_sound):
             spread2 = (scatter**2 - 1) * float(np.median(own + spread2)) + spread2
         predicted[:, axis] = basis @ coefficients
         of_prediction[:, axis] = np.einsum("ni,ij,nj->n", basis, inverse, basis)
-    ok = np.isfinite(points[:, 0])
-    prior = np.zeros((len(points), 2, 2))
-    prior[:, [0, 1], [0, 1]] = of_prediction + spread2
-    gain = joint[ok, :2, 2:] @ np.linalg.inv(joint[ok, 2:, 2:] + prior[ok])
-    points[ok] += np.einsum("nij,nj->ni", gain, predicted[ok] - slope[ok])
+    ok, off = is_sound, predicted - slope
+    total = joint[:, 2:, 2:].copy()  # of the two slopes' distance from what the others say
+    for axis in (0, 1):
+        own = total[:, axis, axis] + of_prediction[:, axis] + spread2
+        total[:, axis, axis] = np.maximum(own, (off[:, axis] / FAR_SLOPE) ** 2)
+    gain = joint[ok, :2, 2:] @ np.linalg.inv(total[ok])
+    points[ok] += np.einsum("nij,nj->ni", gain, off[ok])
     covariance[ok] -= gain @ joint[ok, 2:, :2]
     return points, covariance

@@ -11,7 +11,10 @@ namespace binocal {
 constexpr std::size_t kMinCornersToPool = 12;  // below it a fit of the light's slope to position (3 numbers an axis) gains nothing
 constexpr double kLeastSlopeSpread = 2e-5;     // 1/px; what paper and lens do on a board's scale even in even light
 constexpr double kNoiseSpread = 1.3;           // noise variance over the picture's median that dark and bright pixels, or JPEG, explain
+constexpr double kChance = 8.0;                // over the root of the pixels: four standard deviations of the odd variance that noise has
+constexpr double kPixelsPerCell = 15.0;        // what contradicts the model is alike over so many pixels: measured on shadows' borders
 constexpr double kMaxMisfit = 0.1;             // of the contrast: odd residuals beyond it are an occlusion or a glare, not a corner
+constexpr double kFarSlope2 = 9.0;             // a slope three standard deviations from the others' is one of its own: a shadow's
 constexpr double kFarOff = 3.5;                // times the median distance from a smooth board: not a corner of it
 constexpr double kMostBend = 0.1;              // px; a strong fisheye's edges bend a corner by .02
 constexpr double kRounding = 1.0 / 12;         // grey levels^2
@@ -29,6 +32,14 @@ inline double median_of(std::vector<double> values) {
     std::nth_element(values.begin(), middle, values.end());
     double upper = *middle;
     return values.size() % 2 ? upper : 0.5 * (upper + *std::max_element(values.begin(), middle));
+}
+
+// What a corner's covariance grows by where the residuals' odd part is more than noise.
+//
+// Noise averages out over the disc's pixels; a shadow's border or a glare is alike in many neighbours, and moves the corner by more.
+inline double growth_of(const CornerResult& fit, double misfit) {
+    const double coherent = misfit - 1 - kChance / std::sqrt(std::max(fit.n_pixels, 1.0));
+    return 1 + std::max(0.0, coherent) * fit.n_pixels / kPixelsPerCell;
 }
 
 // Weighted least squares in up to 15 unknowns by normal equations.
@@ -85,7 +96,8 @@ class LeastSquares {
 //
 // A slope of the light is correlated with the position (at a blur of 3 px it costs the corner a factor 1.4), and is linear
 // in the picture on a board's scale. The conditional mean and covariance of a Gaussian do the rest. The slopes' scatter
-// beyond their own covariance, which shadows and glare raise, widens the prediction.
+// beyond their own covariance, which shadows and glare raise, widens the prediction. A corner that contradicts the model keeps
+// its own slope: on the border of a shadow the others' slope would move it by half a pixel.
 inline void share_slope(const CornerResult* fits, std::size_t n, const std::vector<std::size_t>& sound, double noise2,
                         PooledCorner* out) {
     if (sound.size() < kMinCornersToPool) return;
@@ -130,14 +142,15 @@ inline void share_slope(const CornerResult* fits, std::size_t n, const std::vect
             variance[axis][i] = fit.variance(row);
         }
     }
-    for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t i : sound) {
         const CornerResult& f = fits[i];
         const double s = scale_of(f), *c = f.covariance;
         // cov(xy, slope) inverse(cov(slope) + prior), 2 x 2 each
-        double a = c[7] * s + variance[0][i] + spread2, b = c[8] * s, d = c[9] * s + variance[1][i] + spread2;
+        double off[2] = {predicted[0][i] - f.gx, predicted[1][i] - f.gy};
+        double a = std::max(c[7] * s + variance[0][i] + spread2, off[0] * off[0] / kFarSlope2);
+        double b = c[8] * s, d = std::max(c[9] * s + variance[1][i] + spread2, off[1] * off[1] / kFarSlope2);
         double cross[2][2] = {{c[2] * s, c[3] * s}, {c[5] * s, c[6] * s}};
         double determinant = a * d - b * b;
-        double off[2] = {predicted[0][i] - f.gx, predicted[1][i] - f.gy};
         double gain[2][2];
         for (int k : {0, 1}) {
             gain[k][0] = (cross[k][0] * d - cross[k][1] * b) / determinant;
@@ -266,6 +279,9 @@ inline double pool_corners(const CornerResult* fits, std::size_t n, const double
     share_slope(fits, n, sound, noise2, out);
     if (board_xy) unbend(fits, n, board_xy, sound, out);
     for (std::size_t i = 0; i < n; ++i) {
+        const double growth = growth_of(fits[i], out[i].misfit) / std::max(1.0, out[i].misfit / kNoiseSpread);
+        if (growth > 1)
+            for (double& covariance : out[i].covariance) covariance *= growth;
         add_sampling(fits[i], out[i]);
         if (!is_fitted[i]) out[i].x = out[i].y = nan, std::fill_n(out[i].covariance, 4, nan);
     }

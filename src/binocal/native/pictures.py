@@ -188,6 +188,11 @@ class CornerFits:
         return self.raw[:, 21]
 
     @property
+    def n_pixels(self) -> Float[ndarray, "n"]:
+        """Pixels in that disc."""
+        return self.raw[:, 22]
+
+    @property
     def n_evaluations(self) -> Float[ndarray, "n"]:
         """How often the model was evaluated."""
         return self.raw[:, 23]
