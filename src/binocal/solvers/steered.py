@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from binocal.geometry import so3
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, shared_information
+from binocal.solvers.bundle import (
+    BundleEstimate,
+    BundleProblem,
+    noise_estimate_px,
+    residual_lengths2,
+    shared_information,
+)
 from binocal.solvers.controllers import Controller
 from binocal.solvers.least_squares import RESUMED_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.steering import Action, LoopState, advance, begin
@@ -79,7 +85,13 @@ def minimize_steered(
 ) -> SteeredMinimum:
     """The robust minimum of one rig near ``start``: see the module's text."""
     options = options or LoopOptions()
-    state = begin(problem, start, options.kernel, scale_px)
+    noise_px = scale_px
+    if noise_px is None:
+        noise_px = noise_estimate_px(problem, residual_lengths2(problem, start))
+        scale_px = options.scale_factor * noise_px
+    if np.isfinite(noise_px) and noise_px < FAR_PX:  # near: no more is spent than without a controller
+        return SteeredMinimum(problem, minimize(problem, start, options, scale_px=scale_px), (), "", start)
+    state = begin(problem, start, options.kernel, noise_px if np.isfinite(noise_px) else None)
     memory = controller.start(state.mad_px.shape)
     led: list[LedIteration] = []
     handed_over, n_rejected = "", 0
