@@ -136,7 +136,7 @@ inline void share_slope(const CornerResult* fits, std::size_t n, const std::vect
             spread2 += (scatter * scatter - 1) * median_of(widths);
         }
         predicted[axis].resize(n), variance[axis].resize(n);
-        for (std::size_t i = 0; i < n; ++i) {
+        for (std::size_t i : sound) {
             row_of(fits[i], row);
             predicted[axis][i] = row[0] * c[0] + row[1] * c[1] + row[2] * c[2];
             variance[axis][i] = fit.variance(row);
