@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.grid import grid_reach, grid_spacing
 from binocal.detection.growth import grow
 from binocal.detection.lattice import Lattice, continues_beyond
 from binocal.detection.refinement import measure_corners
@@ -29,13 +30,6 @@ MIN_SHARE_OF_OTHER = 0.85  # of a board of another size, which is only a board i
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
 _RIVAL_SPACING = (
     0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
-)
-_ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
-_NEIGHBOURS = (  # of a grid: the two ends of the steps along rows, columns and both diagonals
-    ((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)),
-    ((_BUT_LAST, _ALL), (_BUT_FIRST, _ALL)),
-    ((_BUT_LAST, _BUT_LAST), (_BUT_FIRST, _BUT_FIRST)),
-    ((_BUT_LAST, _BUT_FIRST), (_BUT_FIRST, _BUT_LAST)),
 )
 
 
@@ -129,7 +123,8 @@ def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattic
             continue
         if boards and (
             lattice.n_seen < 0.4 * boards[0].n_seen
-            or np.nanmedian(_spacing(lattice.points_px)) < _RIVAL_SPACING * np.nanmedian(_spacing(boards[0].points_px))
+            or np.nanmedian(grid_spacing(lattice.points_px))
+            < _RIVAL_SPACING * np.nanmedian(grid_spacing(boards[0].points_px))
             or any(_overlap(lattice, board) for board in boards)
         ):
             continue
@@ -141,7 +136,7 @@ def _boards(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattic
 def _is_regular(lattice: Lattice) -> bool:
     xy = _cells(lattice.points_px)
     seen = np.isfinite(lattice.points_px[..., 0]).ravel()
-    points, spacing = lattice.points_px.reshape(-1, 2)[seen], _spacing(lattice.points_px).ravel()[seen]
+    points, spacing = lattice.points_px.reshape(-1, 2)[seen], grid_spacing(lattice.points_px).ravel()[seen]
     return not find_irregular(xy[seen], points, spacing).any()
 
 
@@ -160,33 +155,6 @@ def _cells(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "n 2"]:
     return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
 
 
-def _spacing(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows columns"]:
-    """Distance from each corner to the nearest of its four neighbours, and of the diagonal ones; NaN without any."""
-    nearest = np.full(grid.shape[:2], np.inf)
-    x, y = grid[..., 0], grid[..., 1]
-    for here, there in _NEIGHBOURS:
-        distance = np.hypot(x[there] - x[here], y[there] - y[here])
-        for end in (here, there):
-            np.fmin(nearest[end], distance, out=nearest[end])
-    nearest[np.isinf(nearest)] = np.nan
-    return nearest
-
-
-def _reach(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows columns"]:
-    """Distance from each corner to the nearest grid line that does not pass through it; NaN without neighbours."""
-    right, down = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
-    right[:, :-1], down[:-1] = np.diff(grid, axis=1), np.diff(grid, axis=0)
-    left, up = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
-    left[:, 1:], up[1:] = right[:, :-1], down[:-1]
-    ways = np.stack([right, left, down, up], axis=-1)  # (rows, columns, 2, 4)
-    x, y = ways[..., 0, :], ways[..., 1, :]
-    length = np.maximum(np.hypot(x, y), 1e-9)
-    cross = np.abs(x[..., :2, None] * y[..., None, 2:] - y[..., :2, None] * x[..., None, 2:])
-    lines = np.concatenate([cross / length[..., None, 2:], cross / length[..., :2, None]], axis=-1)
-    nearest = np.fmin.reduce(lines.reshape(*grid.shape[:2], -1), axis=-1)
-    return np.where(nearest > 0, nearest, np.nan)
-
-
 def _finish(
     grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice: Lattice, level: SearchLevel
 ) -> FoundBoard:
@@ -201,9 +169,9 @@ def _finish(
             board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
         )
     grid = level.to_picture(_orient(lattice, board))
-    spacing = _spacing(grid).ravel()
+    spacing = grid_spacing(grid).ravel()
     coarse = localize_saddles(picture, grid.reshape(-1, 2), spacing)
-    points, covariance = measure_corners(grey, coarse, board.object_points_m[:, :2], _reach(grid).ravel())
+    points, covariance = measure_corners(grey, coarse, board.object_points_m[:, :2], grid_reach(grid).ravel())
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
     points[_are_faint(level, points, grid)] = np.nan
     xy = board.object_points_m[:, :2]
@@ -263,12 +231,12 @@ def _look_again(
 ) -> None:
     """Corners that are missing, once more, from where the others say that they are: a lattice may lose its way."""
     seen = np.isfinite(points[:, 0])
-    expected = expected_points(xy, points, float(np.nanmedian(_spacing(points.reshape(shape)))))
+    expected = expected_points(xy, points, float(np.nanmedian(grid_spacing(points.reshape(shape)))))
     height, width = picture.shape
     if not ((expected > 0) & (expected < [width - 1, height - 1])).all():
         expected[~((expected > 0) & (expected < [width - 1, height - 1])).all(axis=1)] = np.nan
     whole = np.where(seen[:, None], points, expected).reshape(shape)
-    spacing, reach = _spacing(whole).ravel(), _reach(whole).ravel()
+    spacing, reach = grid_spacing(whole).ravel(), grid_reach(whole).ravel()
     coarse = localize_saddles(picture, np.where(seen[:, None], np.nan, expected), spacing)
     found, of_found = measure_corners(grey, coarse, xy, reach)
     found[~(np.linalg.norm(found - expected, axis=1) < 0.3 * spacing)] = np.nan
@@ -312,7 +280,7 @@ def _are_faint(
     nothing (all False) where most points fail: a picture too blurred for rings of this size is not covered everywhere.
     """
     smooth, points = level.saddles.smooth, level.from_picture(points_px)
-    spacing = _spacing(level.from_picture(grid_px)).ravel()
+    spacing = grid_spacing(level.from_picture(grid_px)).ravel()
     seen = np.isfinite(points[:, 0])
     faint = np.zeros(len(points), bool)
     if not seen.any():

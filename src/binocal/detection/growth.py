@@ -12,6 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.detection.corner_fit import fit_corners
+from binocal.detection.grid import grid_reach, grid_spacing
 from binocal.detection.regularity import expected_points
 from binocal.native import pictures
 
@@ -85,9 +86,9 @@ def _with_line(
     if not np.mean(relative > MIN_CONTRAST) >= MIN_SHARE_IN_COLOUR:
         return None
     expected = image[1:-1, 1:-1][line]
-    reach = _reach(image)[line]
+    reach = grid_reach(image)[1:-1, 1:-1][line]
     fitted = fit_corners(grey, expected, reach)
-    is_near = np.linalg.norm(fitted.points_px - expected, axis=1) < MAX_OFF * _spacing(image)[line]
+    is_near = np.linalg.norm(fitted.points_px - expected, axis=1) < MAX_OFF * grid_spacing(image)[1:-1, 1:-1][line]
     is_good: Bool[ndarray, "n"] = is_near & (fitted.misfit < MAX_MISFIT)
     if is_good.mean() < MIN_SHARE_FITTED:
         return None
@@ -102,19 +103,3 @@ def _contrast(smooth: Float32[ndarray, "h w"], image: Float[ndarray, "r c 2"]) -
     inside = ((centres >= 0) & (centres <= [width - 1, height - 1])).all(axis=-1)
     light = np.where(inside, pictures.sample(smooth, np.where(inside[..., None], centres, 0.0)), np.nan)
     return np.nan_to_num(0.5 * (light[:-1, :-1] + light[1:, 1:] - light[:-1, 1:] - light[1:, :-1]))
-
-
-def _spacing(image: Float[ndarray, "r c 2"]) -> Float[ndarray, "rows columns"]:
-    """Distance to the nearest neighbour of every inner point."""
-    middle = image[1:-1, 1:-1]
-    others = (image[:-2, 1:-1], image[2:, 1:-1], image[1:-1, :-2], image[1:-1, 2:])
-    others = (*others, image[:-2, :-2], image[2:, 2:], image[:-2, 2:], image[2:, :-2])
-    return np.min([np.linalg.norm(other - middle, axis=-1) for other in others], axis=0)
-
-
-def _reach(image: Float[ndarray, "r c 2"]) -> Float[ndarray, "rows columns"]:
-    """Distance from every inner point to the nearest grid line that does not pass through it."""
-    middle = image[1:-1, 1:-1]
-    right, down = image[1:-1, 2:] - middle, image[2:, 1:-1] - middle
-    cross = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
-    return cross / np.maximum(np.linalg.norm(right, axis=-1), np.linalg.norm(down, axis=-1))
