@@ -25,7 +25,7 @@ docs: $(VENV)/.stamp
 
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
   $(BIN)/python -m pip install --quiet --disable-pip-version-check
-KERNEL := CMakeLists.txt $(wildcard src/binocal/native/*.cpp src/binocal/native/*.hpp)
+KERNEL := CMakeLists.txt $(wildcard src/binocal/kernels/cpp/*.cpp src/binocal/kernels/cpp/*.hpp)
 
 $(VENV)/.core: pyproject.toml constraints.txt $(KERNEL)
 	@if ! $(BIN)/python -c '$(IS_NEW_ENOUGH)' 2>/dev/null; then \

@@ -9,7 +9,7 @@ import pytest
 from binocal import app
 from binocal.boards import parse_board
 from binocal.errors import DataError, OutputExistsError, TooFewViewsError
-from binocal.formats import native
+from binocal.formats import rig_json
 from binocal.metrics.pose import scaled
 from fakes import Rooms
 from rigs import make_poses, make_rig
@@ -24,7 +24,7 @@ def rooms(monkeypatch):
 
 @pytest.fixture
 def truth(rooms):
-    return native.Truth(rooms.rig, BOARD, rooms.detections.names, rooms.poses, 3.0, 0.8)
+    return rig_json.Truth(rooms.rig, BOARD, rooms.detections.names, rooms.poses, 3.0, 0.8)
 
 
 def test_a_calibration_says_what_became_of_every_file(rooms):
@@ -68,7 +68,7 @@ def test_a_simulation_is_repeatable_and_complete(rooms, tmp_path):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["a", "b"]
     np.testing.assert_array_equal(
-        native.read_truth(tmp_path / "a" / "truth.json").T_left_board.t, truths[0].T_left_board.t
+        rig_json.read_truth(tmp_path / "a" / "truth.json").T_left_board.t, truths[0].T_left_board.t
     )
     other = app.simulate(make_rig(), BOARD, 3, tmp_path / "c", app.SimulateOptions(seed=6))
     assert np.abs(other.T_left_board.t - truths[0].T_left_board.t).max() > 1e-4

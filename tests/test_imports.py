@@ -53,9 +53,9 @@ def test_every_public_name_is_there(name):
 def test_one_door_leads_to_the_compiled_kernel():
     # import-linter sees Python modules only
     home = Path(binocal.__file__).parent
-    outside = [path for path in home.rglob("*.py") if path.parent != home / "native"]
+    outside = [path for path in home.rglob("*.py") if path.parent != home / "kernels"]
     assert len(outside) > 50 and not [path for path in outside if "_kernel" in imported_names(path)]
-    assert "_kernel" in imported_names(home / "native" / "__init__.py")
+    assert "_kernel" in imported_names(home / "kernels" / "__init__.py")
 
 
 def imported_names(path: Path) -> set[str]:

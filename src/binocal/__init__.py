@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         TooFewPointsError,
         TooFewViewsError,
     )
-    from binocal.formats.native import read_calibration, read_rig, write_calibration
+    from binocal.formats.rig_json import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
     from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 
@@ -54,7 +54,7 @@ _HOMES = {
         "TooFewPointsError",
         "TooFewViewsError",
     ),
-    "binocal.formats.native": ("read_calibration", "read_rig", "write_calibration"),
+    "binocal.formats.rig_json": ("read_calibration", "read_rig", "write_calibration"),
     "binocal.geometry": ("SE3",),
     "binocal.result": (
         "Covariance",

@@ -10,7 +10,7 @@ from binocal.boards import Board
 from binocal.cameras import CAMERA_MODELS
 from binocal.cli import main
 from binocal.cli.verbs import Model
-from binocal.formats import native
+from binocal.formats import rig_json
 from fakes import Rooms
 from rigs import make_rig
 
@@ -39,7 +39,7 @@ def test_calibrate_writes_the_rig_and_a_summary(rooms, capsys):
     assert "gamma" in out and "baseline       mm" in out and "Views    6 used, 1 dropped" in out
     assert "07: no board found in the right picture" in out and "Wrote    new/rig.json" in out
     assert "ignored left99 copy.png: a copy of left99.png" in err and "dropped 07: no board found" in err
-    assert native.read_rig("new/rig.json").baseline_m == pytest.approx(rooms.rig.baseline_m)
+    assert rig_json.read_rig("new/rig.json").baseline_m == pytest.approx(rooms.rig.baseline_m)
     assert os.listdir("new") == ["rig.json"]
 
 
@@ -183,7 +183,7 @@ def test_simulate_then_evaluate_against_the_truth(rooms, capsys):
 
 
 def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
-    native.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
+    rig_json.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["simulate", "--rig", "rig.json", "--board", "chessboard:11x8:10mm", "--pairs", "2", "--output", "out"]
     assert main([*arguments, "--json"]) == 0
     document = one_document(capsys)
@@ -193,7 +193,7 @@ def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
 
 
 def test_evaluate_on_pictures(rooms, capsys):
-    native.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
+    rig_json.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["evaluate", "rig.json", *CALIBRATE[1:]]
     assert main(arguments) == 0
     out = capsys.readouterr().out

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from binocal.errors import FormatError
-from binocal.formats import native, opencv_yaml
+from binocal.formats import opencv_yaml, rig_json
 from binocal.formats.rig_file import load_rig
 from rigs import assert_same_rig, make_calibration, make_rig
 
 
 def test_both_formats_come_through_one_door(tmp_path):
     calibration = make_calibration()
-    native.write_calibration(tmp_path / "rig.json", calibration)
+    rig_json.write_calibration(tmp_path / "rig.json", calibration)
     assert_same_rig(load_rig(tmp_path / "rig.json"), calibration.rig)
     rig = make_rig()
     opencv_yaml.write_opencv(tmp_path / "rig.yml", rig)

@@ -22,7 +22,7 @@ from binocal.boards import Board
 from binocal.cameras import StereoRig
 from binocal.detections import Detections
 from binocal.errors import BinocalError, CalibrationError, DataError, OutputExistsError
-from binocal.formats import native
+from binocal.formats import rig_json
 from binocal.formats.png import encode_png
 from binocal.geometry import SE3
 from binocal.result import Covariance, RejectedView, StereoCalibration
@@ -174,7 +174,7 @@ def calibrate_pictures(
         "numpy": np.__version__,
         "opencv": _opencv_version(),
         "platform": platform.platform(),
-        "board": native.format_board(board),
+        "board": rig_json.format_board(board),
         "calibrator": options.calibrator,
         "seed": options.seed,
         "options": {"model": options.model, "skew": options.skew, "preprocess": options.preprocess},
@@ -195,7 +195,7 @@ def simulate(
     *,
     force: bool = False,
     progress: Progress | None = None,
-) -> native.Truth:
+) -> rig_json.Truth:
     """Render ``n_pairs`` pictures of a board into ``output``: left_00.png, right_00.png, …, and truth.json.
 
     The same seed gives the same pictures, whatever the number of threads. ``output`` appears in full or not at all.
@@ -216,14 +216,14 @@ def simulate(
     T_left_board = sample_board_poses(rig, board, n_pairs, np.random.default_rng(pose_seed))
     width = max(2, len(str(n_pairs - 1)))
     names = tuple(f"{view:0{width}d}" for view in range(n_pairs))
-    truth = native.Truth(rig, board, names, T_left_board, options.noise_dn, options.blur_px)
+    truth = rig_json.Truth(rig, board, names, T_left_board, options.noise_dn, options.blur_px)
     with staged_folder(output, force=force) as folder:
         _render(truth, folder, options, picture_seed, progress)
-        native.write_truth(folder / "truth.json", truth)
+        rig_json.write_truth(folder / "truth.json", truth)
     return truth
 
 
-def evaluate_truth(calibration: StereoCalibration, truth: native.Truth, *, seed: int = 0) -> TruthEvaluation:
+def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, seed: int = 0) -> TruthEvaluation:
     """Errors of a calibration whose truth is known, each beside its Cramér-Rao bound.
 
     The bound is that of the views which the calibration used, for the corner noise that it measured. The criteria are measured on
@@ -311,7 +311,7 @@ def demo(
         )
         left, right = str(folder / "left_*.png"), str(folder / "right_*.png")
         run = calibrate_pictures(left, right, board, CalibrateOptions(model="brown4", seed=seed), progress=told)
-        native.write_calibration(folder / "rig.json", run.calibration, force=force)
+        rig_json.write_calibration(folder / "rig.json", run.calibration, force=force)
         cases.append(DemoCase(name, folder, run, evaluate_truth(run.calibration, truth, seed=seed)))
     return tuple(cases)
 
@@ -348,7 +348,7 @@ def staged_folder(output: str | Path, *, force: bool = False) -> Iterator[Path]:
         output.mkdir(exist_ok=True)
         if (output / "truth.json").exists():
             with contextlib.suppress(DataError):
-                for name in native.read_truth(output / "truth.json").names:
+                for name in rig_json.read_truth(output / "truth.json").names:
                     for side in ("left", "right"):
                         (output / f"{side}_{Path(name).name}.png").unlink(missing_ok=True)
         for file in sorted(aside.iterdir(), key=lambda path: path.name == "truth.json"):  # the truth last
@@ -449,7 +449,7 @@ def _evaluate_detections(
 
 
 def _bound(
-    calibration: StereoCalibration, truth: native.Truth, has_skew: bool, notes: list[str]
+    calibration: StereoCalibration, truth: rig_json.Truth, has_skew: bool, notes: list[str]
 ) -> tuple[StereoRig, Covariance] | None:
     """The true rig in the camera model that was estimated, and the Cramér-Rao bound there; None, with a note, without one."""
     from binocal.metrics import pose
@@ -491,7 +491,7 @@ def _is_inside(pixels: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
         return np.all((pixels >= -0.5) & (pixels <= np.array(size_wh) - 0.5), axis=-1)
 
 
-def _held_out_views(truth: native.Truth, n_views: int, seed: int) -> tuple[Detections, SE3]:
+def _held_out_views(truth: rig_json.Truth, n_views: int, seed: int) -> tuple[Detections, SE3]:
     """Exact corners of new views of the truth's rig and board, and their poses."""
     from binocal.simulation import sample_board_poses
 
@@ -513,7 +513,7 @@ def _side_m(board: Board) -> float:
 
 
 def _render(
-    truth: native.Truth,
+    truth: rig_json.Truth,
     folder: Path,
     options: SimulateOptions,
     seed: np.random.SeedSequence,

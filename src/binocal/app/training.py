@@ -15,7 +15,7 @@ from binocal.app.road import Progress, ShouldStop, detect_corners
 from binocal.boards import Board, load_board
 from binocal.detections import Detections
 from binocal.errors import DataError, FormatError, MissingExtraError, TooFewViewsError
-from binocal.formats import native
+from binocal.formats import rig_json
 from binocal.result import StereoCalibration
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def board_of_folder(folder: str | Path) -> Board:
     """
     truth, boards = Path(folder) / "truth.json", {}
     if truth.exists():
-        return native.read_truth(truth).board
+        return rig_json.read_truth(truth).board
     for path in sorted([*Path(folder).glob("*.yaml"), *Path(folder).glob("*.yml")]):
         with contextlib.suppress(FormatError):
             boards[path.name] = load_board(str(path))

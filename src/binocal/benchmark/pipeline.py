@@ -112,7 +112,7 @@ def _run_binocal(listed: Sequence[PicturePair]) -> StereoRigLike:
 
 def _run_process(folder: Path) -> StereoRigLike:
     """The command line from its start to ``rig.json``, in a process of its own."""
-    from binocal.formats.native import read_rig
+    from binocal.formats.rig_json import read_rig
 
     output = folder / "rig.json"
     command = [sys.executable, "-m", "binocal", "calibrate", "--left", str(folder / "left_*.png")]

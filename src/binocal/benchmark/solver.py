@@ -23,7 +23,7 @@ from binocal.calibrators import calibrate
 from binocal.cameras import camera_model
 from binocal.detections import Detections
 from binocal.geometry import so3
-from binocal.native import n_cpus
+from binocal.kernels import n_cpus
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.solvers.bundle import (
     BundleEstimate,

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TrainedAgent, TruthEvaluation
-from binocal.formats import native
+from binocal.formats import rig_json
 
 
 def calibration_run_document(run: CalibrationRun, output: Path, max_rms_px: float | None) -> dict[str, Any]:
     """The ``rig.json`` document, and what became of the files."""
     rms_px = run.calibration.rms.all_px
-    document = native.calibration_document(run.calibration)
+    document = rig_json.calibration_document(run.calibration)
     return document | {
         "output": str(output),
         "ignored": [{"path": path, "reason": reason} for path, reason in run.ignored],
@@ -116,5 +116,5 @@ def training_document(trained: TrainedAgent) -> dict[str, Any]:
         "checks": [asdict(check) for check in run.checks],
         "rows": [asdict(row) for row in run.rows],
         "figure": None if trained.figure is None else str(trained.figure),
-        "test_half": None if half is None else native.calibration_document(half),
+        "test_half": None if half is None else rig_json.calibration_document(half),
     }

@@ -126,7 +126,7 @@ def calibrate(
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
-    from binocal.formats import native
+    from binocal.formats import rig_json
     from binocal.formats.files import check_output
     from binocal.formats.opencv_yaml import check_opencv_output, write_opencv
 
@@ -141,7 +141,7 @@ def calibrate(
     with progress_on_terminal() as progress:
         run = verbs.calibrate_pictures(left, right, parsed, options, progress=progress)
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
-    native.write_calibration(output, run.calibration, force=force)
+    rig_json.write_calibration(output, run.calibration, force=force)
     if opencv is not None:
         write_opencv(opencv, run.calibration.rig, force=force)
     is_good = max_rms is None or run.calibration.rms.all_px <= max_rms
@@ -171,7 +171,7 @@ def simulate(
     """Render pictures of a board as a rig sees it, with the exact truth beside them."""
     from binocal import app as verbs
     from binocal.cli.progress import progress_on_terminal
-    from binocal.formats import native
+    from binocal.formats import rig_json
 
     parsed = _parse_board(board)
     if not parsed.is_metric:
@@ -189,7 +189,7 @@ def simulate(
     with progress_on_terminal() as progress:
         truth = verbs.simulate(true_rig, parsed, pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"
-    _present(native.truth_document(truth) | {"output": str(output)}, text, json)
+    _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
     return FINE
 
 
@@ -211,14 +211,14 @@ def evaluate(
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
-    from binocal.formats import native
+    from binocal.formats import rig_json
     from binocal.formats.rig_file import load_rig
 
     on_pictures = (left, right, board)
     if (truth is None) == (on_pictures == (None, None, None)) or (truth is None and None in on_pictures):
         raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
     if truth is not None:
-        against_truth = verbs.evaluate_truth(native.read_calibration(rig), native.read_truth(truth))
+        against_truth = verbs.evaluate_truth(rig_json.read_calibration(rig), rig_json.read_truth(truth))
         _present(documents.truth_document(against_truth), tables.truth_text(against_truth), json)
         return FINE
     read = load_rig(rig)
@@ -320,7 +320,7 @@ def bench(
 
 def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
     if as_json:
-        from binocal.formats.native import dump_json, jsonable
+        from binocal.formats.rig_json import dump_json, jsonable
 
         print(dump_json(jsonable(document)), end="")
     else:

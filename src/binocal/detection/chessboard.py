@@ -17,7 +17,7 @@ from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import expected_points, find_irregular
 from binocal.detection.search import SearchLevel, search_levels
 from binocal.detection.xcorners import localize_saddles, read_rings
-from binocal.native import pictures
+from binocal.kernels import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8

@@ -1,6 +1,6 @@
 """Corners by a maximum-likelihood fit of a blurred saddle to the raw picture, each with its covariance.
 
-The model and the fit are :mod:`binocal.native.pictures`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
+The model and the fit are :mod:`binocal.kernels.pictures`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
 its own first, then all of a picture as one estimate, for they share the pixels' noise, the light's slope and the lens.
 """
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import pictures
+from binocal.kernels import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -14,7 +14,7 @@ from numpy import ndarray
 from binocal.detection.corner_fit import fit_corners
 from binocal.detection.grid import grid_reach, grid_spacing
 from binocal.detection.regularity import expected_points
-from binocal.native import pictures
+from binocal.kernels import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from binocal.detection.regularity import fit_homography
 from binocal.detection.xcorners import SaddlePicture, XCorners, _wrap, read_rings
-from binocal.native import pictures
+from binocal.kernels import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import pictures
+from binocal.kernels import pictures
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, UInt8

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from binocal.cameras import StereoRig
 from binocal.errors import FormatError
-from binocal.formats import native, opencv_yaml
+from binocal.formats import opencv_yaml, rig_json
 
 
 def load_rig(path: str | Path) -> StereoRig:
@@ -19,7 +19,7 @@ def load_rig(path: str | Path) -> StereoRig:
     if path.suffix.lower() != ".json":
         return opencv_yaml.read_opencv(path)
     try:
-        return native.read_rig(path)
+        return rig_json.read_rig(path)
     except FormatError as not_ours:
         try:
             return opencv_yaml.read_opencv(path)

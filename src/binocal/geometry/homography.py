@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal import native
+from binocal import kernels
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -178,7 +178,7 @@ def fit_plane(
     What :func:`solve_plane` makes of :func:`plane_moments`, once for each pass; from the second on the weights are
     divided by the squared depths. Compiled.
     """
-    rows, S_inverse, P, D_inverse, du, dv = native.fit_planes(frame.xy, u, v, w, n_passes)
+    rows, S_inverse, P, D_inverse, du, dv = kernels.fit_planes(frame.xy, u, v, w, n_passes)
     return PlaneFit(rows, S_inverse, P, D_inverse), du, dv
 
 

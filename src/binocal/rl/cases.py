@@ -15,7 +15,7 @@ from numpy import ndarray
 from binocal.boards import parse_board
 from binocal.cameras import camera_model
 from binocal.geometry import so3
-from binocal.native import ViewEquations
+from binocal.kernels import ViewEquations
 from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses
 from binocal.solvers.bundle import (
     BundleEquations,

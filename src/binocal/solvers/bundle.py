@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from binocal.cameras import CameraModel
 from binocal.geometry import so3
-from binocal.native import (
+from binocal.kernels import (
     Steps,
     ViewEquations,
     accumulate,

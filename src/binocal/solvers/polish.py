@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from binocal.native import unweighted_columns
+from binocal.kernels import unweighted_columns
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEstimate,

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import LastIteration
-from binocal.native import observe as _observe
+from binocal.kernels import LastIteration
+from binocal.kernels import observe as _observe
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,

@@ -4,7 +4,7 @@ import numpy as np
 import plain_corner_fit as plain
 import pytest
 
-from binocal.native.pictures import fit_corners
+from binocal.kernels.pictures import fit_corners
 
 
 def make_corner(opening_rad=1.4, turn_rad=0.3, blur_px=1.1, tone=0.0, noise_dn=2.0, seed=0, at=(20.3, 19.6)):

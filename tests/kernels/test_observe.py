@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_step import make_problem
 
-from binocal.native import LastIteration, observe
+from binocal.kernels import LastIteration, observe
 from binocal.solvers.bundle import linearize, noise_estimate_px, solve_step
 from binocal.solvers.steering import OBSERVED
 

@@ -1,11 +1,11 @@
-"""The one door to the compiled kernel: the inner loop of the joint solver; pictures enter by :mod:`binocal.native.pictures`.
+"""The one door to the compiled kernel: the inner loop of the joint solver; pictures enter by :mod:`binocal.kernels.pictures`.
 
 Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
 T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
 of the rig and of the board poses with adjoints (:mod:`binocal.solvers.bundle`).
 
 The kernel holds no lock while it works and gives the same result for any number of threads. Its formulas are those of
-:mod:`binocal.cameras` and :mod:`binocal.solvers.robust`; tests/native states them plainly in NumPy and compares.
+:mod:`binocal.cameras` and :mod:`binocal.solvers.robust`; tests/kernels states them plainly in NumPy and compares.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from numpy import ndarray
 
 try:
-    from binocal.native import _kernel
+    from binocal.kernels import _kernel
 except ImportError as error:
     raise ImportError(
         "binocal's compiled kernel is missing or was built for another Python; install binocal with pip "

@@ -11,7 +11,7 @@ from hypothesis import given
 
 from binocal.boards import parse_board
 from binocal.errors import FormatError
-from binocal.formats import native
+from binocal.formats import rig_json
 from rigs import assert_same_rig, make_calibration, make_poses, make_rig, rigs
 
 
@@ -19,13 +19,13 @@ from rigs import assert_same_rig, make_calibration, make_poses, make_rig, rigs
 def test_write_then_read_gives_the_same_bits(rig):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.json"
-        native.write_calibration(path, make_calibration(rig))
-        assert_same_rig(native.read_rig(path), rig)
+        rig_json.write_calibration(path, make_calibration(rig))
+        assert_same_rig(rig_json.read_rig(path), rig)
 
 
 def test_the_document_has_the_keys_of_the_contract(tmp_path):
     path = tmp_path / "rig.json"
-    native.write_calibration(path, make_calibration())
+    rig_json.write_calibration(path, make_calibration())
     text = path.read_text()
     document = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} in rig.json"))
     assert document["schema"] == "binocal/1" and document["unit"] == "m"
@@ -43,8 +43,8 @@ def test_the_document_has_the_keys_of_the_contract(tmp_path):
 
 def test_a_calibration_comes_back_whole(tmp_path):
     path, calibration = tmp_path / "rig.json", make_calibration()
-    native.write_calibration(path, calibration)
-    back = native.read_calibration(path)
+    rig_json.write_calibration(path, calibration)
+    back = rig_json.read_calibration(path)
     assert (
         back.views[0].name == "01"
         and math.isnan(back.views[0].right_rms_px)
@@ -61,14 +61,14 @@ def test_a_calibration_comes_back_whole(tmp_path):
 
 def test_truth_comes_back_whole(tmp_path):
     poses = make_poses(3, np.random.default_rng(0))
-    truth = native.Truth(make_rig(), parse_board("charuco:11x8:30mm:22mm:DICT_5X5_50"), ("0", "1", "2"), poses, 3.0)
-    native.write_truth(tmp_path / "truth.json", truth)
-    back = native.read_truth(tmp_path / "truth.json")
+    truth = rig_json.Truth(make_rig(), parse_board("charuco:11x8:30mm:22mm:DICT_5X5_50"), ("0", "1", "2"), poses, 3.0)
+    rig_json.write_truth(tmp_path / "truth.json", truth)
+    back = rig_json.read_truth(tmp_path / "truth.json")
     assert_same_rig(back.rig, truth.rig)
     assert back.board == truth.board and back.names == truth.names and back.noise_dn == 3.0 and math.isnan(back.blur_px)
     np.testing.assert_array_equal(back.T_left_board.t, poses.t)
     np.testing.assert_array_equal(back.T_left_board.R, poses.R)
-    assert_same_rig(native.read_rig(tmp_path / "truth.json"), truth.rig)
+    assert_same_rig(rig_json.read_rig(tmp_path / "truth.json"), truth.rig)
 
 
 @pytest.mark.parametrize(
@@ -89,12 +89,12 @@ def test_truth_comes_back_whole(tmp_path):
     ],
 )
 def test_a_broken_file_is_named_with_its_key(tmp_path, change, expected):
-    document = native.calibration_document(make_calibration())
+    document = rig_json.calibration_document(make_calibration())
     change(document)
     path = tmp_path / "rig.json"
     path.write_text(json.dumps(document))
     with pytest.raises(FormatError, match=expected) as caught:
-        native.read_rig(path)
+        rig_json.read_rig(path)
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
 
 
@@ -103,9 +103,9 @@ def test_what_is_not_json_is_refused(tmp_path, content):
     path = tmp_path / "rig.json"
     path.write_bytes(content)
     with pytest.raises(FormatError):
-        native.read_rig(path)
+        rig_json.read_rig(path)
 
 
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FormatError, match="no such file"):
-        native.read_calibration(tmp_path / "no.json")
+        rig_json.read_calibration(tmp_path / "no.json")

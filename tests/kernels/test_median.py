@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from binocal.native import median_lengths2
+from binocal.kernels import median_lengths2
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 88, 1001])

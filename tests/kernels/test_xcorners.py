@@ -4,7 +4,7 @@ import numpy as np
 import plain_xcorners as plain
 import pytest
 
-from binocal.native import pictures
+from binocal.kernels import pictures
 
 
 def make_board(noise_dn=4.0, seed=0, dtype=np.float32):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from binocal import native
+from binocal import kernels
 from binocal.geometry.homography import PlaneFrame, map_plane, plane_moments, solve_plane
-from binocal.native import fit_planes
+from binocal.kernels import fit_planes
 
 
 def make_views(n, n_views=5, seed=0):
@@ -40,7 +40,7 @@ def test_the_kernel_equals_the_numpy_statement(n, n_passes):
 def test_leading_dimensions_and_threads_change_nothing(monkeypatch):
     frame, u, v, w = make_views(20, 6)
     one = fit_planes(frame.xy, u, v, w, 2)
-    monkeypatch.setattr(native, "_n_threads", lambda n_corners: 3)
+    monkeypatch.setattr(kernels, "_n_threads", lambda n_corners: 3)
     folded = fit_planes(frame.xy, *(a.reshape(2, 3, 20) for a in (u, v, w)), 2)
     assert folded[2].shape == (2, 3, 3, 6)
     assert all(np.array_equal(a, b.reshape(a.shape)) for a, b in zip(one, folded, strict=True))

@@ -1,5 +1,5 @@
 // The step of the joint solver: normal equations of a rig from those of its views, board poses eliminated
-// (binocal.native says what the arrays mean). Rigs are independent; each is summed in one fixed order.
+// (binocal.kernels says what the arrays mean). Rigs are independent; each is summed in one fixed order.
 
 #include "gram.hpp"
 #include "kernel.hpp"

@@ -8,7 +8,7 @@ import pytest
 
 from binocal.cameras import CAMERA_MODELS, camera_model
 from binocal.geometry import so3
-from binocal.native import compose_poses, step_poses
+from binocal.kernels import compose_poses, step_poses
 from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,

@@ -2,7 +2,7 @@
 #include "kernel.hpp"
 
 NB_MODULE(_kernel, module) {
-    module.doc() = "The compiled kernels of binocal. Use them through binocal.native.";
+    module.doc() = "The compiled kernels of binocal. Use them through binocal.kernels.";
     binocal::register_accumulate(module);
     binocal::register_planes(module);
     binocal::register_poses(module);

@@ -1,4 +1,4 @@
-"""The kernel's formulas stated plainly in NumPy: what binocal.native must reproduce."""
+"""The kernel's formulas stated plainly in NumPy: what binocal.kernels must reproduce."""
 
 from __future__ import annotations
 

@@ -4,10 +4,10 @@ import numpy as np
 import plain_accumulate
 import pytest
 
-from binocal import native
+from binocal import kernels
 from binocal.cameras import CAMERA_MODELS
 from binocal.geometry import so3
-from binocal.native import accumulate, squared_lengths, unweighted_columns
+from binocal.kernels import accumulate, squared_lengths, unweighted_columns
 from binocal.solvers import robust
 
 DISTORTIONS = {
@@ -143,7 +143,7 @@ def test_held_parameters_get_no_columns(free):
 def test_the_number_of_threads_changes_nothing(monkeypatch):
     views = make_views("brown5", 401)
     one = accumulate(views[0].name, *views[1:], np.asarray(60.0), "cauchy")
-    monkeypatch.setattr(native, "_n_threads", lambda n_corners: 3)
+    monkeypatch.setattr(kernels, "_n_threads", lambda n_corners: 3)
     three = accumulate(views[0].name, *views[1:], np.asarray(60.0), "cauchy")
     assert np.array_equal(one.gram, three.gram) and np.array_equal(one.cost_px2, three.cost_px2)
 

@@ -1,7 +1,7 @@
 """The compiled kernel's side door for pictures: X-corners, their links and lattices, the corner fit and its pooling.
 
 Pictures are C-contiguous (h, w). Points are (x, y), (0, 0) the centre of the top-left pixel. The kernel holds no lock while
-it works. Tests/native states each function plainly in NumPy and compares.
+it works. Tests/kernels states each function plainly in NumPy and compares.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.native import _kernel
+from binocal.kernels import _kernel
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int
