@@ -23,8 +23,8 @@ from binocal.cameras import StereoRig
 from binocal.detections import Detections
 from binocal.errors import BinocalError, CalibrationError, DataError, OutputExistsError
 from binocal.formats import rig_json
-from binocal.formats.png import encode_png
 from binocal.geometry import SE3
+from binocal.images.png import encode_png
 from binocal.result import Covariance, RejectedView, StereoCalibration
 
 if TYPE_CHECKING:

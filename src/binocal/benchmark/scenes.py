@@ -11,7 +11,7 @@ import numpy as np
 from binocal.boards import parse_board
 from binocal.cameras import StereoRig
 from binocal.datasets.folder import PicturePair
-from binocal.formats.png import encode_png
+from binocal.images.png import encode_png
 from binocal.simulation import RenderOptions, random_rig, render_picture, sample_board_poses
 
 

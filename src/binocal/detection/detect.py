@@ -9,9 +9,9 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.datasets.pictures import to_grey
 from binocal.detection.chessboard import detect_chessboard
 from binocal.detection.found import FoundBoard, not_found
+from binocal.images.reading import to_grey
 
 if TYPE_CHECKING:
     from jaxtyping import Float32, UInt8

@@ -11,11 +11,11 @@ import cv2
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.datasets.pictures import read_grey_picture
 from binocal.detection.chessboard import find_chessboard_size
 from binocal.detection.detect import detect, stretch, stretch_8_bit
 from binocal.detection.found import FoundBoard
 from binocal.errors import FormatError
+from binocal.images.reading import read_grey_picture
 
 MOST_TRIED = 3
 _FAMILIES = (

@@ -17,13 +17,13 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.datasets.folder import Pairing, PicturePair
-from binocal.datasets.pictures import read_hashed_grey_picture
 from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
 from binocal.detection.hints import hint_by_trying, hint_from_sizes
 from binocal.detection.preprocessing import strengthen_edges
 from binocal.detections import Detections
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
+from binocal.images.reading import read_hashed_grey_picture
 from binocal.result import RejectedView
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's pictures; with fewer it is not clear which size the camera has

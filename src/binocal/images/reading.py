@@ -1,7 +1,7 @@
 """Reading pictures strictly: a file is a whole picture of a supported kind, or a named error.
 
 Decoders are forgiving where a calibration must not be: a truncated JPEG decodes to a picture whose lower half is grey.
-So the container's own structure is walked first (:mod:`binocal.datasets.containers`), and only then is it decoded.
+So the container's own structure is walked first (:mod:`binocal.images.containers`), and only then is it decoded.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.datasets.containers import identify_container, structure_problem
 from binocal.errors import FormatError
+from binocal.images.containers import identify_container, structure_problem
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8, UInt16

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from binocal.datasets import read_grey_picture, read_picture, to_grey
-from binocal.datasets.containers import identify_container
 from binocal.errors import FormatError
+from binocal.images import read_grey_picture, read_picture, to_grey
+from binocal.images.containers import identify_container
 
 SHAPES = {"grey": (48, 64), "colour": (48, 64, 3), "alpha": (48, 64, 4)}
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocal.formats.png import encode_png
+from binocal.images.png import encode_png
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
