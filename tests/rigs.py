@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from binocal import boards
 from binocal.cameras import Camera, StereoRig
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.result import (
     Covariance,

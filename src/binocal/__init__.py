@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from binocal.calibrators import calibrate
     from binocal.cameras import Camera, StereoRig
     from binocal.detection import detect, detect_pairs
-    from binocal.detections import Detections
     from binocal.errors import (
         BinocalError,
         CalibrationError,
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
         TooFewPointsError,
         TooFewViewsError,
     )
+    from binocal.evidence import Detections
     from binocal.formats.rig_json import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
     from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
@@ -39,7 +39,7 @@ _HOMES = {
     "binocal.calibrators": ("calibrate",),
     "binocal.cameras": ("Camera", "StereoRig"),
     "binocal.detection": ("detect", "detect_pairs"),
-    "binocal.detections": ("Detections",),
+    "binocal.evidence": ("Detections",),
     "binocal.errors": (
         "BinocalError",
         "CalibrationError",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 
 if TYPE_CHECKING:

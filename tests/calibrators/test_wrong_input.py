@@ -7,8 +7,8 @@ import pytest
 
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
-from binocal.detections import Detections
 from binocal.errors import BinocalError, CalibrationError, DataError, DegenerateGeometryError, TooFewViewsError
+from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.simulation import corruptions as wrong
 from binocal.simulation.noise import add_outliers, simulate_detections

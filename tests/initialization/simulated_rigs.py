@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from binocal.cameras import camera_model
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 
 TABLE2 = np.array([1600, 1600, 639.5, 479.5, 0, -0.1, 0.05, 0, 0])

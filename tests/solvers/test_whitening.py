@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px, inverse_root
 
 

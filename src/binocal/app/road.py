@@ -20,8 +20,8 @@ import numpy as np
 from binocal import __version__
 from binocal.boards import Board
 from binocal.cameras import StereoRig
-from binocal.detections import Detections
 from binocal.errors import BinocalError, CalibrationError, DataError, OutputExistsError
+from binocal.evidence import Detections
 from binocal.formats import rig_json
 from binocal.geometry import SE3
 from binocal.images.png import encode_png

@@ -13,8 +13,8 @@ import numpy as np
 from binocal import __version__
 from binocal.app.road import Progress, ShouldStop, detect_corners
 from binocal.boards import Board, load_board
-from binocal.detections import Detections
 from binocal.errors import DataError, FormatError, MissingExtraError, TooFewViewsError
+from binocal.evidence import Detections
 from binocal.formats import rig_json
 from binocal.result import StereoCalibration
 

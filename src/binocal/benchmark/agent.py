@@ -17,8 +17,8 @@ import numpy as np
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import StereoRig
-from binocal.detections import Detections
 from binocal.errors import BinocalError
+from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.result import StereoCalibration
 from binocal.rl.cases import CASE_SETS, SIZE_WH, Cases, measure_corners, take_rigs

@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from binocal.boards import Board
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import so3
 
 ENVIRONMENT = "BINOCAL_MRCAL_PYTHON"  # a Python that can import mrcal, where neither this one nor the system's can

@@ -14,7 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.detections import Detections
+from binocal.evidence import Detections
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -22,7 +22,7 @@ from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.datasets.folder import PicturePair
 from binocal.detection import detect_pairs
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.simulation import table2_rig
 

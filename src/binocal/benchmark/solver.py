@@ -21,7 +21,7 @@ from binocal.benchmark.opencv_peer import run_opencv
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import camera_model
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.kernels import n_cpus
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig

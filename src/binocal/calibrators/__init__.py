@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions, Calibrator, ProgressCallback
 from binocal.calibrators.registry import CALIBRATORS, load_calibrator
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 
 __all__ = ["CALIBRATORS", "MIN_VIEWS", "CalibrationOptions", "Calibrator", "calibrate", "load_calibrator"]

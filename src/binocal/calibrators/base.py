@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 
 MIN_VIEWS = 3  # two views determine four intrinsics and leave nothing to check them with

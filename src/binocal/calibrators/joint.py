@@ -15,10 +15,10 @@ from numpy import ndarray
 from binocal.calibrators import trust
 from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
-from binocal.detections import Detections
 from binocal.errors import CalibrationError, TooFewViewsError
-from binocal.initialization.clean_start import estimate_clean_start
-from binocal.initialization.consistency import Diagnosis, diagnose_views
+from binocal.evidence import Detections
+from binocal.initialization.diagnosis import Diagnosis, diagnose_views
+from binocal.initialization.verified_start import estimate_verified_start
 from binocal.result import RejectedView, StereoCalibration
 from binocal.solvers import robust
 from binocal.solvers.bundle import BundleEstimate, BundleProblem, residual_lengths2
@@ -118,7 +118,7 @@ def _calibrate_clean(
     """
     if detections.n_views < MIN_VIEWS:
         return None
-    start = estimate_clean_start(detections, options.model)
+    start = estimate_verified_start(detections, options.model)
     if start is None:
         return None
     estimate = BundleEstimate(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from binocal.calibrators.base import CalibrationOptions, Calibrator
 from binocal.calibrators.joint import calibrate_jointly
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
 from binocal.solvers.bundle import BundleEstimate, BundleProblem

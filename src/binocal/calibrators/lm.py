@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from binocal.calibrators.base import CalibrationOptions
 from binocal.calibrators.joint import calibrate_jointly
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 
 

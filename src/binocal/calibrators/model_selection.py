@@ -12,8 +12,8 @@ from numpy import ndarray
 from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions, Calibrator, ProgressCallback
 from binocal.calibrators.summary import joint_problem, rig_of
 from binocal.cameras import CAMERA_MODELS, StereoRig
-from binocal.detections import Detections
 from binocal.errors import CalibrationError, DataError, NotConvergedError
+from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.result import Evidence, StereoCalibration
 from binocal.solvers.bundle import BundleEstimate

@@ -15,7 +15,7 @@ from numpy import ndarray
 from binocal import __version__
 from binocal.calibrators.base import CalibrationOptions
 from binocal.cameras import Camera, StereoRig, camera_model
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.result import (
     Covariance,

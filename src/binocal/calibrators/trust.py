@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.detections import Detections
 from binocal.errors import DegenerateGeometryError, InconsistentViewsError, NotConvergedError
+from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from numpy import ndarray
 from binocal.calibrators import calibrate
 from binocal.calibrators.base import MIN_VIEWS
 from binocal.cameras import Camera, StereoRig, camera_model
-from binocal.detections import Detections
 from binocal.errors import TooFewViewsError
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.result import StereoCalibration
 from binocal.solvers.bundle import (

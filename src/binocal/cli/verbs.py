@@ -127,8 +127,8 @@ def calibrate(
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
-    from binocal.formats.files import check_output
     from binocal.formats.opencv_yaml import check_opencv_output, write_opencv
+    from binocal.formats.output import check_output
 
     parsed = _parse_board(board)
     _check_calibrator(calibrator)

@@ -21,8 +21,8 @@ from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
 from binocal.detection.hints import hint_by_trying, hint_from_sizes
 from binocal.detection.preprocessing import strengthen_edges
-from binocal.detections import Detections
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
+from binocal.evidence import Detections
 from binocal.images.reading import read_hashed_grey_picture
 from binocal.result import RejectedView
 

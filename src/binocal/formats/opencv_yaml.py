@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import DataError, FormatError
-from binocal.formats.files import check_output, write_aside
+from binocal.formats.output import check_output, write_aside
 from binocal.geometry import SE3
 from binocal.rectification import rectify
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from binocal.cameras import Camera, StereoRig, camera_model
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.metrics import image
 from binocal.result import Covariance

@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import Camera, StereoRig, camera_model
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.rectification import rectify, rectify_points
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.initialization.symmetries import board_symmetries
 from binocal.solvers.poses import BoardPoses, estimate_board_poses

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.simulation.scenes import StereoScene
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig, camera_model
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.initialization.poses import estimate_poses
 from binocal.solvers.bundle import (

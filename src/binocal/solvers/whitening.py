@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.solvers import robust
 
 if TYPE_CHECKING:

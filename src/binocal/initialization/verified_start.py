@@ -3,7 +3,7 @@
 Plain homographies of all pictures at once, a focal length for each camera with the principal point held in the middle,
 poses, and the mean of the views' relative poses: rough, and not robust against anything. Whoever uses it must let the
 joint solver prove it (:mod:`binocal.calibrators.lm` does) and go the long way of
-:mod:`binocal.initialization.consistency` otherwise.
+:mod:`binocal.initialization.diagnosis` otherwise.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import camera_model
-from binocal.detections import Detections
+from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.geometry.homography import PlaneFrame, fit_plane
 from binocal.initialization.poses import decompose
@@ -33,7 +33,7 @@ _MAX_TURN = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CleanStart:
+class VerifiedStart:
     """Rough cameras, rig and boards.
 
     ``parameters``: left and right, fx, fy, cx, cy, then zeros. ``homography_px`` is the RMS residual of one coordinate
@@ -48,7 +48,7 @@ class CleanStart:
     homography_px: float
 
 
-def estimate_clean_start(detections: Detections, model: str) -> CleanStart | None:
+def estimate_verified_start(detections: Detections, model: str) -> VerifiedStart | None:
     """A rough start from closed forms alone, or None where the views do not look clean at first sight.
 
     Every picture must show twelve corners or more, inside the picture, and no lens that bends the board visibly.
@@ -100,7 +100,7 @@ def estimate_clean_start(detections: Detections, model: str) -> CleanStart | Non
         start[2:4] = centre[side * n_views]
         parameters.append(start)
     homography_px = float(np.sqrt((squares.sum(axis=-1) * unit_px**2).sum() / (2 * n_corners - 8 * len(pixels))))
-    return CleanStart((parameters[0], parameters[1]), R_right_left, t_right_left, R_left, t_left, homography_px)
+    return VerifiedStart((parameters[0], parameters[1]), R_right_left, t_right_left, R_left, t_left, homography_px)
 
 
 def _focal_lengths(rows: Float[ndarray, "cameras views 3 3"]) -> Float[ndarray, "cameras"] | None:

@@ -8,7 +8,7 @@ import pytest
 from binocal.boards import parse_board
 from binocal.calibrators import CalibrationOptions, calibrate, joint
 from binocal.geometry import so3
-from binocal.initialization.clean_start import estimate_clean_start
+from binocal.initialization.verified_start import estimate_verified_start
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.solvers.least_squares import minimize
 
@@ -25,7 +25,7 @@ def make_views(n_views=12, seed=0, noise_px=0.2):
 def test_the_start_is_near_the_rig():
     # measured: focal length 1.5 %, rotation 0.9 deg, translation 17 mm (depth follows the focal length)
     rig, detections = make_views()
-    start = estimate_clean_start(detections, "brown5")
+    start = estimate_verified_start(detections, "brown5")
     assert abs(start.parameters[0][0] / rig.left.parameters[0] - 1) < 0.03
     assert np.degrees(so3.angle_rad(start.R_right_left @ rig.T_right_left.R.T)) < 2.0
     assert np.linalg.norm(start.t_right_left - rig.T_right_left.t) < 0.03
@@ -40,7 +40,7 @@ def test_what_does_not_look_clean_gets_no_start(what):
         px[3, 11:] = np.nan
     else:
         px[3, 5] = [1290.0, 100.0]
-    assert estimate_clean_start(replace(detections, left_px=px), "brown5") is None
+    assert estimate_verified_start(replace(detections, left_px=px), "brown5") is None
 
 
 def test_a_clean_set_goes_the_short_way_and_ends_where_the_long_one_does(monkeypatch):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from simulated_rigs import T_RIGHT_LEFT, TABLE2, Rig, grid, project, rotation_error_deg, simulate, with_outliers
 
-from binocal.detections import Detections
 from binocal.errors import BinocalError, DataError, DegenerateGeometryError, InconsistentViewsError, TooFewViewsError
+from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
-from binocal.initialization.consistency import Diagnosis, diagnose_views
+from binocal.initialization.diagnosis import Diagnosis, diagnose_views
 
 FISHEYE = np.array([300, 300, 325, 236, 0, -0.02, 0.005, -0.003, 0.0005])
 KITTI_LIKE = np.array([721, 721, 609.5, 172.8, 0, 0, 0, 0, 0])

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.detections import Detections
 from binocal.errors import DataError, DegenerateGeometryError, InconsistentViewsError, TooFewViewsError
+from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.geometry.homography import (
     COINCIDENT,

@@ -6,23 +6,23 @@ import stat
 import pytest
 
 from binocal.errors import DataError, OutputExistsError
-from binocal.formats import files
+from binocal.formats import output
 
 
 def test_writes_and_leaves_no_second_file(tmp_path):
     target = tmp_path / "new" / "rig.json"
-    files.write_aside(target, "{}")
+    output.write_aside(target, "{}")
     assert target.read_text() == "{}" and os.listdir(target.parent) == ["rig.json"]
-    assert stat.S_IMODE(target.stat().st_mode) == 0o666 & ~files._umask()
+    assert stat.S_IMODE(target.stat().st_mode) == 0o666 & ~output._umask()
 
 
 def test_refuses_to_overwrite_without_force(tmp_path):
     target = tmp_path / "rig.json"
     target.write_text("old")
     with pytest.raises(OutputExistsError, match="--force") as caught:
-        files.write_aside(target, "new")
+        output.write_aside(target, "new")
     assert isinstance(caught.value, FileExistsError) and target.read_text() == "old"
-    files.write_aside(target, "new", force=True)
+    output.write_aside(target, "new", force=True)
     assert target.read_text() == "new"
 
 
@@ -35,13 +35,13 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(DataError, match="No space left"):
-        files.write_aside(target, "new", force=True)
+        output.write_aside(target, "new", force=True)
     assert target.read_text() == "old" and os.listdir(tmp_path) == ["rig.json"]
 
 
 def test_a_folder_or_a_file_in_the_way_is_named(tmp_path):
     with pytest.raises(DataError, match="is a folder"):
-        files.check_output(tmp_path)
+        output.check_output(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="folder cannot be made"):
-        files.check_output(tmp_path / "file" / "rig.json")
+        output.check_output(tmp_path / "file" / "rig.json")
