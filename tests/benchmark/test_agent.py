@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from binocal.benchmark.agent import CLASSICAL
-from binocal.rl.cases import CASE_SETS
 from binocal.rl.evaluation import (
     CORRECTED,
     MEAN_ACTION,
@@ -16,6 +15,7 @@ from binocal.rl.evaluation import (
     tolerance_of,
 )
 from binocal.rl.policy import LearnedController, shipped_policy
+from binocal.rl.rig_batches import CASE_SETS
 from binocal.rl.task import MAX_STEPS
 from binocal.solvers.controllers import Marquardt
 
@@ -39,7 +39,7 @@ def test_packing_the_batch_changes_no_rig():
     cases, start = held_out_cases("stress", 12, 1)
     controller = LearnedController(shipped_policy("steering"))
     together = solve_cases(cases, start, controller, 0.3).n_iterations
-    from binocal.rl.cases import take_rigs
+    from binocal.rl.rig_batches import take_rigs
 
     alone = [
         int(solve_cases(cases.select(i), take_rigs(start, i), controller, 0.3).n_iterations[0])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocal.rl.cases import CASE_SETS, Cases, sample_cases
+from binocal.rl.rig_batches import CASE_SETS, Cases, sample_cases
 
 
 @pytest.fixture(scope="session")

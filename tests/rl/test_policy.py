@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from binocal.errors import FormatError
-from binocal.rl.cases import CASE_SETS, sample_cases, sample_starts
 from binocal.rl.policy import ConstantController, LearnedController, Policy, load_policy, save_policy, shipped_policy
+from binocal.rl.rig_batches import CASE_SETS, sample_cases, sample_starts
 from binocal.rl.task import KERNEL, observation_names
 from binocal.solvers.steering import advance, begin
 
@@ -43,7 +43,7 @@ def test_files_hold_the_policy_and_its_card(tmp_path):
 
 def test_numpy_gives_what_the_network_gives():
     torch = pytest.importorskip("torch", reason="compares with the network")
-    from binocal.rl.networks import Actor
+    from binocal.rl.training.networks import Actor
 
     torch.manual_seed(0)
     actor = Actor(31, 6, (16, 8), (0.1, -0.2, 0.3, 0.0, 0.5, -0.6))

@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import pytest
 
-from binocal.rl.cases import distance_sigma, sample_starts, select_loop, take_rigs
+from binocal.rl.rig_batches import distance_sigma, sample_starts, select_loop, take_rigs
 from binocal.rl.task import (
     INCREMENT_REACH,
     KERNEL,

@@ -21,8 +21,8 @@ from binocal.result import StereoCalibration
 if TYPE_CHECKING:
     from binocal.rl.evaluation import Exam
     from binocal.rl.history import TrainingHistory
-    from binocal.rl.session import TrainingRun
-    from binocal.rl.training import TrainingOptions
+    from binocal.rl.training.run_folder import TrainingRun
+    from binocal.rl.training.trainer import TrainingOptions
 
 MIN_VIEWS_PER_HALF = 6  # a half must hold cases of three views, each a half of it
 REAL_CASES = 256
@@ -80,13 +80,13 @@ def train(
     """
     options = options or TrainOptions()
     try:
-        from binocal.rl import session
+        from binocal.rl.training import run_folder
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
         raise MissingExtraError("training", "train") from None
-    session.check_folder(Path(output), force=force)
-    others = [session.read_history_of(Path(folder)) for folder in beside]
+    run_folder.check_folder(Path(output), force=force)
+    others = [run_folder.read_history_of(Path(folder)) for folder in beside]
     chosen, pools, description, exam, test = _training_options(options), None, "", None, None
     if data is not None:
         board = board or board_of_folder(data)
@@ -98,8 +98,8 @@ def train(
         test = detections.select(np.arange(half, detections.n_views))
         chosen, pools, exam = _on_real_views(detections.select(np.arange(half)), test, chosen, options)
         description = f"{half} pairs of real pictures, {REAL_CASES} cases drawn from them, rewards without truth"
-    run = session.train_agent(
-        session.prepare_folder(Path(output), force=force),
+    run = run_folder.train_agent(
+        run_folder.prepare_folder(Path(output), force=force),
         chosen,
         pools=pools,
         exam=exam,
@@ -146,7 +146,7 @@ def _picture_patterns(folder: Path) -> tuple[str, str]:
 
 
 def _training_options(options: TrainOptions) -> TrainingOptions:
-    from binocal.rl.training import default_options
+    from binocal.rl.training.trainer import default_options
 
     given = default_options("steering" if options.agent == "drl" else "increments")
     td3 = replace(given.td3, targets=options.targets)
@@ -160,9 +160,9 @@ def _on_real_views(
 ) -> tuple[TrainingOptions, Any, Exam]:
     """Pools drawn from one half of the views, the exam from the other; networks by the amount unless layers were given."""
     from binocal.calibrators import calibrate
-    from binocal.rl.cases import sample_starts
     from binocal.rl.evaluation import Exam
-    from binocal.rl.real_cases import cases_from_calibration, network_widths, tolerance_sigma
+    from binocal.rl.real_rig_batches import cases_from_calibration, network_widths, tolerance_sigma
+    from binocal.rl.rig_batches import sample_starts
 
     rng = np.random.default_rng([options.seed, 3])
     known, unseen = (calibrate(views, calibrator="lm", model=MODEL_OF_REAL_RIGS) for views in (half, test))

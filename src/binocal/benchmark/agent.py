@@ -21,9 +21,9 @@ from binocal.errors import BinocalError
 from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.result import StereoCalibration
-from binocal.rl.cases import CASE_SETS, SIZE_WH, Cases, measure_corners, take_rigs
 from binocal.rl.evaluation import CORRECTED, Row, compare_on, format_rows, held_out_cases, simulated_exam
 from binocal.rl.policy import shipped_policy
+from binocal.rl.rig_batches import CASE_SETS, SIZE_WH, Cases, measure_corners, take_rigs
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections
 from binocal.solvers.bundle import BundleEstimate, BundleProblem
 from binocal.solvers.controllers import Controller

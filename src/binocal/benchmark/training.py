@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from binocal.rl.cases import Cases, sample_starts
 from binocal.rl.evaluation import solve_cases
 from binocal.rl.history import TrainingHistory
 from binocal.rl.policy import LearnedController, Policy
-from binocal.rl.training import Training, TrainingOptions, run, simulated_pools
-from binocal.rl.twin import Imitation
+from binocal.rl.rig_batches import Cases, sample_starts
+from binocal.rl.training.imitation import Imitation
+from binocal.rl.training.trainer import Training, TrainingOptions, run, simulated_pools
 
 N_STEPS = 150_000
 N_SEEDS = 5

@@ -43,7 +43,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy import ndarray
 
-from binocal.rl.cases import CASE_SETS, Cases, distance_sigma, sample_cases, sample_starts
+from binocal.rl.rig_batches import CASE_SETS, Cases, distance_sigma, sample_cases, sample_starts
 from binocal.rl.task import (
     MAX_STEPS,
     ActionMeaning,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.rl.cases import Cases, select_loop, way_left_sigma
+from binocal.rl.rig_batches import Cases, select_loop, way_left_sigma
 from binocal.rl.task import (
     MAX_STEPS,
     ActionMeaning,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.rl.cases import CASE_SETS, Cases, sample_cases, sample_starts, select_loop, way_left_sigma
+from binocal.rl.rig_batches import CASE_SETS, Cases, sample_cases, sample_starts, select_loop, way_left_sigma
 from binocal.rl.task import KERNEL, MAX_STEPS, n_actions
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.controllers import Controller, Marquardt, Nielsen, Schedule

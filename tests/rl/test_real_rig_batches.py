@@ -8,8 +8,8 @@ import pytest
 import binocal
 from binocal.boards import parse_board
 from binocal.errors import TooFewViewsError
-from binocal.rl.cases import distance_sigma, sample_starts, way_left_sigma
-from binocal.rl.real_cases import cases_from_calibration, network_widths, tolerance_sigma
+from binocal.rl.real_rig_batches import cases_from_calibration, network_widths, tolerance_sigma
+from binocal.rl.rig_batches import distance_sigma, sample_starts, way_left_sigma
 from binocal.rl.task import KERNEL, initial, transition
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.solvers.bundle import retract

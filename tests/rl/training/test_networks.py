@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("torch", reason="PyTorch is an extra: pip install binocal[train]")
 
-from binocal.rl.networks import Actor, TwinCritic
+from binocal.rl.training.networks import Actor, TwinCritic
 
 
 def test_actions_are_within_one_and_begin_near_zero(torch):

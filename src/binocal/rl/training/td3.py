@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import torch
 from torch import Tensor
 
-from binocal.rl.networks import Actor, TwinCritic
+from binocal.rl.training.networks import Actor, TwinCritic
 
 if TYPE_CHECKING:
     from numpy import ndarray

@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from numpy import ndarray
 
-from binocal.rl.cases import Cases, sample_starts, select_loop, way_left_sigma
-from binocal.rl.networks import Actor
 from binocal.rl.policy import Policy
-from binocal.rl.replay import ReplayBuffer
+from binocal.rl.rig_batches import Cases, sample_starts, select_loop, way_left_sigma
 from binocal.rl.task import TaskState, initial, n_actions, observation, observation_names, transition
-from binocal.rl.td3 import TD3Options
-from binocal.rl.training import CENTRES, MAX_TRAINING_STEPS, TrainingOptions, policy_of
+from binocal.rl.training.networks import Actor
+from binocal.rl.training.replay import ReplayBuffer
+from binocal.rl.training.td3 import TD3Options
+from binocal.rl.training.trainer import CENTRES, MAX_TRAINING_STEPS, TrainingOptions, policy_of
 
 N_TRIED = 16  # actions tried in each state
 SEARCH_SPREAD = 0.3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocal.rl.replay import ReplayBuffer
+from binocal.rl.training.replay import ReplayBuffer
 
 
 def numbered(first: int, n: int) -> tuple[np.ndarray, ...]:

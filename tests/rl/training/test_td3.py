@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("torch", reason="PyTorch is an extra: pip install binocal[train]")
 
-from binocal.rl.replay import ReplayBuffer
-from binocal.rl.td3 import TD3, TD3Options
+from binocal.rl.training.replay import ReplayBuffer
+from binocal.rl.training.td3 import TD3, TD3Options
 
 SMALL = {"actor_widths": (16,), "critic_widths": (16,)}
 

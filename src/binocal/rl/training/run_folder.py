@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from binocal.errors import DataError, OutputExistsError
-from binocal.rl.cases import CASE_SETS, Cases
-from binocal.rl.checkpoint import load_checkpoint, save_checkpoint
 from binocal.rl.evaluation import Exam, Row, compare_on, format_rows, simulated_exam
 from binocal.rl.history import TrainingHistory, load_history, write_history
 from binocal.rl.policy import Policy, load_policy, save_policy, shipped_policy
-from binocal.rl.training import TRAINING_SETS, Check, Training, TrainingOptions, run, simulated_pools
+from binocal.rl.rig_batches import CASE_SETS, Cases
+from binocal.rl.training.checkpoint import load_checkpoint, save_checkpoint
+from binocal.rl.training.trainer import TRAINING_SETS, Check, Training, TrainingOptions, run, simulated_pools
 
 CHECKPOINT, WEIGHTS, HISTORY = "checkpoint.pt", "weights.safetensors", "history.npz"
 CHECKS, CARD, TABLE = "checks.json", "card.md", "table.json"

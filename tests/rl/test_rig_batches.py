@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from binocal.geometry import so3
-from binocal.rl import cases as module
-from binocal.rl.cases import CASE_SETS, distance_sigma, sample_cases, sample_starts, take_rigs
+from binocal.rl import rig_batches as module
+from binocal.rl.rig_batches import CASE_SETS, distance_sigma, sample_cases, sample_starts, take_rigs
 from binocal.solvers.bundle import residual_lengths2
 from binocal.solvers.steering import begin
 

@@ -1,7 +1,7 @@
 """Training cases from real detections: many small calibrations drawn from the views of one rig.
 
 No truth is known and rewards look at none, but at how far the robust cost lies above the lowest that a classical solve found
-(:func:`binocal.rl.cases.way_left_sigma`); the calibration of these very views supplies the intrinsics that are held, and the
+(:func:`binocal.rl.rig_batches.way_left_sigma`); the calibration of these very views supplies the intrinsics that are held, and the
 place around which starts are drawn.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from binocal.cameras import camera_model
 from binocal.errors import TooFewViewsError
 from binocal.result import StereoCalibration
-from binocal.rl.cases import CASE_SETS, CaseOptions, Cases, solved_cases
+from binocal.rl.rig_batches import CASE_SETS, CaseOptions, Cases, solved_cases
 from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
 
 MIN_VIEWS_PER_CASE = 3

@@ -8,13 +8,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs the train extra")
 
 from binocal.errors import DataError, FormatError, OutputExistsError  # noqa: E402
-from binocal.rl import session  # noqa: E402
-from binocal.rl.cases import CASE_SETS, sample_cases  # noqa: E402
-from binocal.rl.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
 from binocal.rl.policy import load_policy  # noqa: E402
-from binocal.rl.td3 import TD3Options  # noqa: E402
-from binocal.rl.training import CENTRES, Training, TrainingOptions, default_options, run  # noqa: E402
-from binocal.rl.twin import Imitation  # noqa: E402
+from binocal.rl.rig_batches import CASE_SETS, sample_cases  # noqa: E402
+from binocal.rl.training import run_folder  # noqa: E402
+from binocal.rl.training.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
+from binocal.rl.training.imitation import Imitation  # noqa: E402
+from binocal.rl.training.td3 import TD3Options  # noqa: E402
+from binocal.rl.training.trainer import CENTRES, Training, TrainingOptions, default_options, run  # noqa: E402
 
 OPTIONS = TrainingOptions(
     n_steps=600,
@@ -111,29 +111,29 @@ def test_the_twin_learns_from_the_best_of_what_it_tries(pools):
 
 
 def test_a_session_leaves_weights_card_history_and_goes_on(pools, tmp_path):
-    folder = session.prepare_folder(tmp_path / "agent")
-    cut = session.train_agent(
+    folder = run_folder.prepare_folder(tmp_path / "agent")
+    cut = run_folder.train_agent(
         folder, OPTIONS, pools=pools, n_rigs=0, command="binocal train", version="1", should_stop=lambda: True
     )
     assert not cut.is_complete and (folder / "checkpoint.pt").exists()
-    whole = session.train_agent(
-        session.prepare_folder(folder), OPTIONS, pools=pools, n_rigs=0, description="small rigs"
+    whole = run_folder.train_agent(
+        run_folder.prepare_folder(folder), OPTIONS, pools=pools, n_rigs=0, description="small rigs"
     )
     assert whole.is_complete and whole.was_resumed
     policy = load_policy(folder / "weights.safetensors")
     assert policy.card["steps"] == whole.n_steps and policy.card["rigs"] == "small rigs"
     assert "small rigs" in (folder / "card.md").read_text(encoding="utf-8")
     with pytest.raises(OutputExistsError):
-        session.prepare_folder(folder)
+        run_folder.prepare_folder(folder)
     (folder / "weights.safetensors").unlink()
     with pytest.raises(DataError, match="other options"):
-        session.train_agent(session.prepare_folder(folder), replace(OPTIONS, seed=9), pools=pools, n_rigs=0)
+        run_folder.train_agent(run_folder.prepare_folder(folder), replace(OPTIONS, seed=9), pools=pools, n_rigs=0)
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("precious")
     with pytest.raises(OutputExistsError):
-        session.prepare_folder(tmp_path)
+        run_folder.prepare_folder(tmp_path)
     with pytest.raises(DataError, match="is a file"):
-        session.prepare_folder(tmp_path / "mine.txt")
+        run_folder.prepare_folder(tmp_path / "mine.txt")
     assert (tmp_path / "mine.txt").read_text() == "precious"

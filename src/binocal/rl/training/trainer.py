@@ -17,14 +17,14 @@ import numpy as np
 import torch
 from numpy import ndarray
 
-from binocal.rl.cases import CASE_SETS, CaseOptions, Cases, sample_cases, sample_starts
 from binocal.rl.episodes import Outcome, Transitions, run_episodes
 from binocal.rl.history import TrainingHistory
-from binocal.rl.networks import Actor
 from binocal.rl.policy import Policy
-from binocal.rl.replay import ReplayBuffer
+from binocal.rl.rig_batches import CASE_SETS, CaseOptions, Cases, sample_cases, sample_starts
 from binocal.rl.task import INCREMENT_REACH, ActionMeaning, n_actions, observation_names
-from binocal.rl.td3 import TD3, TD3Options
+from binocal.rl.training.networks import Actor
+from binocal.rl.training.replay import ReplayBuffer
+from binocal.rl.training.td3 import TD3, TD3Options
 
 if TYPE_CHECKING:
     from jaxtyping import Float

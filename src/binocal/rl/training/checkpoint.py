@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from binocal.errors import FormatError
-from binocal.rl.training import Training
+from binocal.rl.training.trainer import Training
 
 VERSION = 1
 
@@ -22,7 +22,7 @@ def save_checkpoint(training: Training, path: Path) -> None:
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """What :func:`save_checkpoint` wrote, for :meth:`binocal.rl.training.Training.restore`.
+    """What :func:`save_checkpoint` wrote, for :meth:`binocal.rl.training.trainer.Training.restore`.
 
     Only open checkpoints of your own: the format can carry code.
 
