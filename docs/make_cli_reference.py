@@ -23,7 +23,7 @@ without `--force`; a file is there in full or not at all.
 | 0 | fine |
 | 1 | failure while running |
 | 2 | usage: an option is wrong |
-| 3 | input unusable; the text names which picture or view, why, and what to do |
+| 3 | input unusable; the text names which image or view, why, and what to do |
 | 4 | finished, but below the quality asked for (`--max-rms`) |
 | 130 | interrupted |
 """

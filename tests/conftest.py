@@ -12,10 +12,10 @@ settings.load_profile("binocal")
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """Folder of the real pictures: BINOCAL_DATA, else ../shared/data from the project's root."""
+    """Folder of the real images: BINOCAL_DATA, else ../shared/data from the project's root."""
     places = [Path(os.environ["BINOCAL_DATA"])] if os.environ.get("BINOCAL_DATA") else []
     places.append(Path(__file__).resolve().parents[2] / "shared" / "data")
     for place in places:
         if place.is_dir():
             return place
-    pytest.skip(f"no real pictures: neither BINOCAL_DATA nor {places[-1]} is a folder")
+    pytest.skip(f"no real images: neither BINOCAL_DATA nor {places[-1]} is a folder")

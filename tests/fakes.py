@@ -1,4 +1,4 @@
-"""Stand-ins for the heavy rooms, so that the shells are tested alone: exact corners instead of pictures."""
+"""Stand-ins for the heavy rooms, so that the shells are tested alone: exact corners instead of images."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RenderOptions:
 
 
 @dataclass(frozen=True)
-class RenderedPicture:
+class RenderedImage:
     image: np.ndarray
     corners_px: np.ndarray
 
@@ -68,7 +68,7 @@ class Rooms:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.rig, self.poses = make_rig(), make_poses(6, np.random.default_rng(0))
         self.detections = make_detections(self.rig, self.poses)
-        self.rejected = (RejectedView("07", "no board found in the right picture"),)
+        self.rejected = (RejectedView("07", "no board found in the right image"),)
         self.calibrate: Callable[..., StereoCalibration] = self._calibrate
         self.calls: dict[str, Any] = {}
         rooms = {
@@ -85,7 +85,7 @@ class Rooms:
                 "table2_rig": lambda: self.rig,
                 "sample_board_poses": lambda rig, board, n_views, rng: make_poses(n_views, rng),
                 "RenderOptions": RenderOptions,
-                "render_picture": self._render_picture,
+                "render_image": self._render_image,
             },
             "binocal.solvers.covariance": {"cramer_rao_bound": self._bound},
             "binocal.benchmark": {"run": self._bench},
@@ -107,7 +107,7 @@ class Rooms:
         return PairDetections(
             self.detections,
             self.rejected,
-            ("left and right pictures differ in size",),
+            ("left and right images differ in size",),
             {"left": "0" * 64, "right": "1" * 64},
         )
 
@@ -143,9 +143,9 @@ class Rooms:
             self._calibrate(self.detections, calibrator="", model="", skew=skew, seed=0, progress=None)
         ).covariance
 
-    def _render_picture(self, camera, T_camera_board, board, options, rng):
+    def _render_image(self, camera, T_camera_board, board, options, rng):
         noise = rng.integers(0, 255, camera.size_wh[::-1], dtype=np.uint8)
-        return RenderedPicture(noise, camera.project(T_camera_board.apply(board.object_points_m)))
+        return RenderedImage(noise, camera.project(T_camera_board.apply(board.object_points_m)))
 
     def _bench(self, name, *, seed=0):
         if name != "solver":

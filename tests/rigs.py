@@ -37,7 +37,7 @@ def make_rig(
 
 
 def make_poses(n_views: int, rng: np.random.Generator) -> SE3:
-    """T_left_board of a board of 11x8 corners, 10 mm apart, that stays inside both pictures of the default rig."""
+    """T_left_board of a board of 11x8 corners, 10 mm apart, that stays inside both images of the default rig."""
     angles = rng.uniform(-0.5, 0.5, (n_views, 3)) * [1, 1, 0.3]
     t = np.stack(
         [rng.uniform(-0.03, -0.01, n_views), rng.uniform(-0.05, -0.02, n_views), rng.uniform(0.28, 0.36, n_views)],
@@ -75,7 +75,7 @@ def make_calibration(rig: StereoRig | None = None) -> StereoCalibration:
         noise_px=0.08,
         views=(ViewResult("01", 0.1, 0.1, float("nan"), 88, (OutlierCorner("left", 4, 7.5),), "turned by 180 deg"),),
         evidence=Evidence(detections, poses),
-        rejected=(RejectedView("02", "no board found in the left picture"),),
+        rejected=(RejectedView("02", "no board found in the left image"),),
         warnings=("left and right look exchanged",),
         n_iterations=7,
         provenance={"seed": 0, "cost": float("inf"), "version": "x", "shape": (1, 2), "n": np.int64(3)},

@@ -30,7 +30,7 @@ def truth(rooms):
 def test_a_calibration_says_what_became_of_every_file(rooms):
     seen = []
     options = app.CalibrateOptions(model="brown4", preprocess=True, seed=7)
-    run = app.calibrate_pictures("l", "r", BOARD, options, progress=lambda *step: seen.append(step))
+    run = app.calibrate_images("l", "r", BOARD, options, progress=lambda *step: seen.append(step))
     assert rooms.calls["list_pairs"] == ("l", "r") and rooms.calls["preprocess"] is True
     assert rooms.calls["calibrate"]["model"] == "brown4" and rooms.calls["calibrate"]["seed"] == 7
     assert run.calibration.rejected == rooms.rejected and run.ignored == (("left99 copy.png", "a copy of left99.png"),)
@@ -40,12 +40,12 @@ def test_a_calibration_says_what_became_of_every_file(rooms):
 
 
 def test_the_most_telling_views_are_used_and_the_cost_is_said(rooms):
-    run = app.calibrate_pictures("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=3))
+    run = app.calibrate_images("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=3))
     assert rooms.calls["select_views"] == (6, 3, "brown4")
     assert [view.name for view in run.calibration.views] == list(rooms.detections.names[:6:2])
     assert run.notes[-1] == "3 of 6 views were chosen."
     assert run.calibration.provenance["view_choice"]["depth_sigma"] == 0.002
-    every = app.calibrate_pictures("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=6))
+    every = app.calibrate_images("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=6))
     assert len(every.calibration.views) == 6 and "view_choice" not in every.calibration.provenance
 
 
@@ -55,8 +55,8 @@ def test_an_error_carries_what_was_dropped_before_it(rooms):
 
     rooms.calibrate = too_few
     with pytest.raises(TooFewViewsError) as caught:
-        app.calibrate_pictures("l", "r", BOARD)
-    assert caught.value.rejected == {"07": "no board found in the right picture", "05": "mismatched pair"}
+        app.calibrate_images("l", "r", BOARD)
+    assert caught.value.rejected == {"07": "no board found in the right image", "05": "mismatched pair"}
     assert caught.value.__notes__ == ["ignored left99 copy.png: a copy of left99.png"]
 
 
@@ -83,7 +83,7 @@ def test_an_interrupted_simulation_leaves_nothing(rooms, tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
-def test_force_replaces_the_old_pictures_and_nothing_else(rooms, tmp_path):
+def test_force_replaces_the_old_images_and_nothing_else(rooms, tmp_path):
     out = tmp_path / "out"
     app.simulate(make_rig(), BOARD, 4, out)
     (out / "mine.txt").write_text("keep")
@@ -108,7 +108,7 @@ def test_a_board_without_a_size_is_not_simulated(rooms, tmp_path):
 
 
 def test_the_truth_is_met_with_the_bound_of_the_views_used(rooms, truth):
-    calibration = app.calibrate_pictures("l", "r", BOARD).calibration
+    calibration = app.calibrate_images("l", "r", BOARD).calibration
     used = replace(calibration, views=calibration.views[:4])
     evaluation = app.evaluate_truth(used, truth)
     assert evaluation.comparison.rotation_error_deg == 0 and evaluation.comparison.has_bound
@@ -120,14 +120,14 @@ def test_the_truth_is_met_with_the_bound_of_the_views_used(rooms, truth):
 
 
 def test_a_rig_in_pitches_is_scaled_by_the_truths_board(rooms, truth):
-    calibration = app.calibrate_pictures("l", "r", BOARD).calibration
+    calibration = app.calibrate_images("l", "r", BOARD).calibration
     in_pitches = replace(calibration, rig=replace(scaled(rooms.rig, 100.0), is_metric=False))
     evaluation = app.evaluate_truth(in_pitches, truth)
     assert evaluation.comparison.translation_error_mm < 1e-9 and "board pitches" in evaluation.notes[0]
 
 
-def test_pictures_are_judged_without_truth(rooms):
-    evaluation = app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
+def test_images_are_judged_without_truth(rooms):
+    evaluation = app.evaluate_images(rooms.rig, "l", "r", BOARD)
     assert evaluation.pixel_error.all_px < 1e-9 and evaluation.length_error.scale_rms_percent < 1e-7
     assert evaluation.row_error.rms_px < 1e-6 and evaluation.rejected == rooms.rejected
 
@@ -136,7 +136,7 @@ def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(rooms):
     left, right = rooms.detections.left_px.copy(), rooms.detections.right_px.copy()
     left[1], right[1] = np.nan, np.nan
     rooms.detections = replace(rooms.detections, left_px=left, right_px=right)
-    evaluation = app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
+    evaluation = app.evaluate_images(rooms.rig, "l", "r", BOARD)
     assert np.isnan(evaluation.pixel_error.view_rms_px).tolist() == [False, True] + 4 * [False]
     assert evaluation.pixel_error.n_corners == 5 * 2 * 88 and evaluation.length_error.n_views == 5
 
@@ -145,16 +145,16 @@ def test_a_suspect_view_is_named(rooms):
     right = rooms.detections.right_px + 0.02 * np.random.default_rng(0).standard_normal(rooms.detections.right_px.shape)
     right[2] += 3.0
     rooms.detections = replace(rooms.detections, right_px=right)
-    notes = app.evaluate_pictures(rooms.rig, "l", "r", BOARD).notes
+    notes = app.evaluate_images(rooms.rig, "l", "r", BOARD).notes
     assert [note.split(":")[0] for note in notes if "may not belong together" in note] == ["view 2"]
 
 
 def test_units_and_sizes_must_agree(rooms):
     with pytest.raises(DataError, match="give the board's length a unit"):
-        app.evaluate_pictures(rooms.rig, "l", "r", parse_board("chessboard:11x8"))
+        app.evaluate_images(rooms.rig, "l", "r", parse_board("chessboard:11x8"))
     rooms.detections = replace(rooms.detections, right_size_wh=(640, 480))
-    with pytest.raises(DataError, match="right pictures are 640x480, the rig's right camera is 1280x960"):
-        app.evaluate_pictures(rooms.rig, "l", "r", BOARD)
+    with pytest.raises(DataError, match="right images are 640x480, the rig's right camera is 1280x960"):
+        app.evaluate_images(rooms.rig, "l", "r", BOARD)
 
 
 def test_the_demonstration_compares_both_boards(rooms, tmp_path):

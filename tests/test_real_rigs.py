@@ -1,4 +1,4 @@
-"""Real pictures to a rig: baselines, residuals no higher than OpenCV's, and culprits named. No setting is tuned per set."""
+"""Real images to a rig: baselines, residuals no higher than OpenCV's, and culprits named. No setting is tuned per set."""
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ SETS = {
 def run_set(data_dir, name, model="auto"):
     left, right, spec, *_ = SETS[name]
     folder = data_dir / name
-    return app.calibrate_pictures(
+    return app.calibrate_images(
         str(folder / left), str(folder / right), parse_board(spec), app.CalibrateOptions(model=model)
     ).calibration
 
@@ -92,7 +92,7 @@ def test_residuals_are_no_higher_than_opencv_on_the_same_corners_and_model(data_
 
 def test_exchanged_cameras_are_said_and_calibrated(data_dir):
     folder = data_dir / "barry_swapped"
-    calibration = app.calibrate_pictures(
+    calibration = app.calibrate_images(
         str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:9x6")
     ).calibration
     assert calibration.rig.is_swapped and calibration.rig.T_right_left.t[0] == pytest.approx(3.83, rel=0.01)
@@ -103,13 +103,13 @@ def test_exchanged_cameras_are_said_and_calibrated(data_dir):
 def test_a_room_of_boards_is_recognised(data_dir, board):
     folder = data_dir / "kitti_calib_room"
     with pytest.raises(BinocalError, match="more than one board"):
-        app.calibrate_pictures(str(folder / "left*"), str(folder / "right*"), parse_board(board))
+        app.calibrate_images(str(folder / "left*"), str(folder / "right*"), parse_board(board))
 
 
 def test_heat_maps_are_refused_view_by_view(data_dir):
     folder = data_dir / "thermal_stereo_aditya" / "heatmap"
     with pytest.raises(BinocalError, match=r"principal point|rotation between") as caught:
-        app.calibrate_pictures(str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:7x6"))
+        app.calibrate_images(str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:7x6"))
     assert len(caught.value.rejected) == 16 and all(caught.value.rejected.values())
 
 

@@ -5,7 +5,7 @@
     BinocalError
     ├── DataError               the input cannot be used            (CLI exit code 3)
     │   ├── FormatError         a file is not what it should be
-    │   ├── DetectionError      no usable board in the pictures
+    │   ├── DetectionError      no usable board in the images
     │   ├── SceneError          the simulator cannot place the board as asked
     │   └── OutputExistsError   a result would overwrite a file
     ├── CalibrationError        the input is readable, no trustworthy rig follows from it   (CLI exit code 3)
@@ -39,7 +39,7 @@ class FormatError(DataError):
 
 
 class DetectionError(DataError):
-    """No usable board was found; ``reasons`` maps a picture or view to why."""
+    """No usable board was found; ``reasons`` maps an image or view to why."""
 
     def __init__(self, message: str, reasons: dict[str, str] | None = None) -> None:
         super().__init__(message)

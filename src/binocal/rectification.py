@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 MAX_AXIS_ANGLE_DEG = (
-    60.0  # beyond it the cameras stand behind each other rather than side by side: no common picture is left
+    60.0  # beyond it the cameras stand behind each other rather than side by side: no common image is left
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rectification:
-    """How both pictures are brought to common rows.
+    """How both images are brought to common rows.
 
     ``R_rect_left`` and ``R_rect_right`` (OpenCV's R1, R2) rotate camera coordinates into the rectified frames;
     ``P_left`` and ``P_right`` (P1, P2), 3x4, project points of the frame ``rect_left`` to rectified pixels of either
-    picture. Both pictures share focal length and principal point (OpenCV's ``CALIB_ZERO_DISPARITY``), so that disparity
+    image. Both images share focal length and principal point (OpenCV's ``CALIB_ZERO_DISPARITY``), so that disparity
     is zero at infinity.
     """
 
@@ -66,8 +66,8 @@ def rectify(rig: StereoRig) -> Rectification:
 
     Each camera is turned by half of the rotation between them, then both by the smallest rotation that lays the
     baseline on an axis (Bouguet's method, the one that OpenCV uses). The common focal length is the smaller of the
-    vertical ones (the horizontal ones if vertical), the common principal point centres both pictures. Deviation from
-    OpenCV: focal length and centre come from the middle of the picture alone, so that they exist for lenses that see
+    vertical ones (the horizontal ones if vertical), the common principal point centres both images. Deviation from
+    OpenCV: focal length and centre come from the middle of the image alone, so that they exist for lenses that see
     90° aside and beyond.
 
     Raises:
@@ -76,7 +76,7 @@ def rectify(rig: StereoRig) -> Rectification:
     """
     T = rig.T_right_left
     if not rig.baseline_m > 0:
-        raise DegenerateGeometryError("the rig has no baseline (T = 0): its pictures cannot be rectified.")
+        raise DegenerateGeometryError("the rig has no baseline (T = 0): its images cannot be rectified.")
     half_rad = so3.log(T.R) / 2
     t_mid = so3.exp(-half_rad) @ T.t
     axis = 0 if abs(t_mid[0]) >= abs(t_mid[1]) else 1
@@ -88,7 +88,7 @@ def rectify(rig: StereoRig) -> Rectification:
     if angle_rad > np.radians(MAX_AXIS_ANGLE_DEG):
         raise DegenerateGeometryError(
             f"the baseline is {np.degrees(angle_rad):.0f} deg from the nearer image axis (at most "
-            f"{MAX_AXIS_ANGLE_DEG:.0f}): the cameras stand one behind the other and their pictures cannot be rectified."
+            f"{MAX_AXIS_ANGLE_DEG:.0f}): the cameras stand one behind the other and their images cannot be rectified."
         )
     W = so3.exp(turn * (angle_rad / sine)) if sine > 0 else np.eye(3)
     R_rect_left, R_rect_right = W @ so3.exp(half_rad), W @ so3.exp(-half_rad)
@@ -101,8 +101,8 @@ def rectify(rig: StereoRig) -> Rectification:
     ]
     if not np.all(np.isfinite(middle)):
         raise DegenerateGeometryError(
-            "a camera looks 90 deg or more away from the rectified direction, or its model has no ray at the picture's "
-            "centre: the pictures cannot be rectified."
+            "a camera looks 90 deg or more away from the rectified direction, or its model has no ray at the image's "
+            "centre: the images cannot be rectified."
         )
     centre = (np.array([width, height]) - 1) / 2 - np.mean(middle, axis=0)
     P = np.array([[focal_px, 0, centre[0], 0], [0, focal_px, centre[1], 0], [0, 0, 1, 0]])
@@ -122,9 +122,9 @@ def rectify_points(
 def rectification_map(
     camera: Camera, R_rect_camera: Float[ndarray, "3 3"], P: Float[ndarray, "3 4"], size_wh: tuple[int, int]
 ) -> tuple[Float[ndarray, "h w 2"], Bool[ndarray, "h w"]]:
-    """For every rectified pixel, the pixel (x, y) of the camera's picture to read, and where there is one.
+    """For every rectified pixel, the pixel (x, y) of the camera's image to read, and where there is one.
 
-    What lies outside the picture is NaN. Split and cast to float32 for ``cv2.remap``.
+    What lies outside the image is NaN. Split and cast to float32 for ``cv2.remap``.
     """
     width, height = size_wh
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
@@ -132,7 +132,7 @@ def rectification_map(
     source = camera.project((rays @ R_rect_camera).reshape(-1, 3)).reshape(height, width, 2)
     with np.errstate(invalid="ignore"):
         is_inside = np.all((source >= -0.5) & (source <= np.array(camera.size_wh) - 0.5), axis=-1)
-    # A strong lens model folds back far outside its picture: such a pixel returns to another ray than it came from.
+    # A strong lens model folds back far outside its image: such a pixel returns to another ray than it came from.
     back = camera.unproject(np.where(is_inside[..., None], source, np.nan)) @ R_rect_camera.T
     unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     is_inside &= np.linalg.norm(np.where(np.isnan(back), np.inf, back) - unit, axis=-1) < 1e-6
@@ -146,7 +146,7 @@ def _project_direction(rays: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*bat
 
 
 def rectified_rig(rig: StereoRig, rectification: Rectification) -> StereoRig:
-    """The ideal rig that the rectified pictures come from: no distortion, no rotation, baseline along an axis."""
+    """The ideal rig that the rectified images come from: no distortion, no rotation, baseline along an axis."""
     P = rectification.P_left
     camera = Camera("brown4", rectification.size_wh, np.r_[P[0, 0], P[1, 1], P[0, 2], P[1, 2], np.zeros(5)])
     T_right_left = SE3(np.eye(3), rectification.P_right[:, 3] / P[0, 0])

@@ -50,9 +50,9 @@ def test_scenes_keep_their_promises_and_come_back():
 
 @pytest.mark.slow
 def test_boards_are_found_and_clutter_is_not():
-    table = run_detection_benchmark(pictures=24, peer_every=12, seed=5)
+    table = run_detection_benchmark(images=24, peer_every=12, seed=5)
     ours, legacy, sector = table["rows"]
     assert ours["n_found"] == ours["n_boards"] > 15 and ours["wrong"] == [] == ours["missed"]
     assert ours["n_boards"] + ours["n_without_board"] == 24 and ours["no_board_ms"]["max"] > 0
     assert legacy["n_boards"] + legacy["n_without_board"] == 2 == sector["n_boards"] + sector["n_without_board"]
-    assert "24 rendered pictures" in table["text"]
+    assert "24 rendered images" in table["text"]

@@ -37,7 +37,7 @@ def test_calibrate_writes_the_rig_and_a_summary(rooms, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("warning: left and right look exchanged")
     assert "gamma" in out and "baseline       mm" in out and "Views    6 used, 1 dropped" in out
-    assert "07: no board found in the right picture" in out and "Wrote    new/rig.json" in out
+    assert "07: no board found in the right image" in out and "Wrote    new/rig.json" in out
     assert "ignored left99 copy.png: a copy of left99.png" in err and "dropped 07: no board found" in err
     assert rig_json.read_rig("new/rig.json").baseline_m == pytest.approx(rooms.rig.baseline_m)
     assert os.listdir("new") == ["rig.json"]
@@ -83,7 +83,7 @@ def test_opencv_beside(rooms, capsys):
     ("error", "exit_code", "code"),
     [
         (errors.TooFewViewsError(2, 3, {"05": "mismatched pair"}), 3, "too-few-views"),
-        (errors.DetectionError("no board in any picture.", {"01": "too dark"}), 3, "detection"),
+        (errors.DetectionError("no board in any image.", {"01": "too dark"}), 3, "detection"),
         (errors.FormatError("left01.png", "truncated"), 3, "format"),
         (errors.NotConvergedError("the solver stopped at\na saddle."), 1, "not-converged"),
         (errors.MissingExtraError("training", "train"), 1, "missing-extra"),
@@ -112,7 +112,7 @@ def test_an_error_lists_what_was_dropped(rooms, capsys):
     main([*CALIBRATE, "--json"])
     out, err = capsys.readouterr()
     error = json.loads(out)["error"]
-    assert error["rejected"] == {"07": "no board found in the right picture", "05": "mismatched pair"}
+    assert error["rejected"] == {"07": "no board found in the right image", "05": "mismatched pair"}
     assert (
         error["found"] == 2
         and error["needed"] == 3
@@ -120,7 +120,7 @@ def test_an_error_lists_what_was_dropped(rooms, capsys):
     )
     assert err.splitlines()[:3] == [
         "ignored left99 copy.png: a copy of left99.png",
-        "dropped 07: no board found in the right picture",
+        "dropped 07: no board found in the right image",
         "dropped 05: mismatched pair",
     ]
 
@@ -183,7 +183,7 @@ def test_simulate_then_evaluate_against_the_truth(rooms, capsys):
 
 
 def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
-    rig_json.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
+    rig_json.write_calibration("rig.json", app.calibrate_images("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["simulate", "--rig", "rig.json", "--board", "chessboard:11x8:10mm", "--pairs", "2", "--output", "out"]
     assert main([*arguments, "--json"]) == 0
     document = one_document(capsys)
@@ -192,8 +192,8 @@ def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
     assert main([*arguments[:2], "no.json", *arguments[3:], "--force"]) == 3
 
 
-def test_evaluate_on_pictures(rooms, capsys):
-    rig_json.write_calibration("rig.json", app.calibrate_pictures("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
+def test_evaluate_on_images(rooms, capsys):
+    rig_json.write_calibration("rig.json", app.calibrate_images("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["evaluate", "rig.json", *CALIBRATE[1:]]
     assert main(arguments) == 0
     out = capsys.readouterr().out

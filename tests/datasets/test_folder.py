@@ -58,7 +58,7 @@ def test_order_is_natural_leading_zeros_are_equal_gaps_and_orphans_are_told(make
     assert ignored == {"left12.png": "has no right partner", "right11.png": "has no left partner"}
 
 
-def test_leading_zeros_count_where_they_tell_pictures_apart(make):
+def test_leading_zeros_count_where_they_tell_images_apart(make):
     found, _ = pairs_of(make("left1.png", "left01.png", "right1.png", "right01.png"), "left*", "right*")
     assert sorted(found) == [("01", "left01.png", "right01.png"), ("1", "left1.png", "right1.png")]
 
@@ -73,8 +73,8 @@ def test_copies_doubles_and_other_files_are_listed_with_reasons(make):
     found, ignored = pairs_of(make(*names), "left*", "right*")
     assert [name for name, _, _ in found] == ["03", "04"]
     assert {ignored[n] for n in copies} == {"is a copy of left03.jpg"}
-    assert "left05.png" in ignored["left05.jpg"] and "2 pictures" in ignored["right05.jpg"]
-    assert "not a picture" in ignored["left.yml"]
+    assert "left05.png" in ignored["left05.jpg"] and "2 images" in ignored["right05.jpg"]
+    assert "not an image" in ignored["left.yml"]
 
 
 def test_one_folder_for_both_sides_is_sorted_out(make):
@@ -108,13 +108,13 @@ def test_nothing_is_paired_by_position(make, names):
         list_pairs([folder / n for n in names[:2]], [folder / n for n in names[2:]])
 
 
-def test_the_same_pictures_twice_are_refused(make):
+def test_the_same_images_twice_are_refused(make):
     folder = make("left1.png", "left2.png")
-    with pytest.raises(DataError, match=r"left and right are the same pictures"):
+    with pytest.raises(DataError, match=r"left and right are the same images"):
         list_pairs(str(folder / "left*"), str(folder / "left*"))
     for number in "12":
         (folder / f"right{number}.png").write_text(f"left{number}.png")  # same bytes under another name
-    with pytest.raises(DataError, match=r"left and right are the same pictures"):
+    with pytest.raises(DataError, match=r"left and right are the same images"):
         list_pairs(str(folder / "left*"), str(folder / "right*"))
 
 
@@ -122,14 +122,14 @@ def test_one_identical_pair_among_others_is_left_out(make):
     folder = make("left1.png", "left2.png", "right1.png", "right2.png")
     (folder / "right2.png").write_text("left2.png")
     found, ignored = pairs_of(folder, "left*", "right*")
-    assert [name for name, _, _ in found] == ["1"] and "same picture as" in ignored["left2.png"]
+    assert [name for name, _, _ in found] == ["1"] and "same image as" in ignored["left2.png"]
 
 
 def test_empty_places_say_what_is_there(make):
     folder = make("img1.png", "img2.png", "sub/x.txt")
     with pytest.raises(DataError, match=r"nothing matches .*left\*.*holds 3 entries such as img1.png"):
         list_pairs(str(folder / "left*"), str(folder / "img*"))
-    with pytest.raises(DataError, match=r"no picture in .*sub"):
+    with pytest.raises(DataError, match=r"no image in .*sub"):
         list_pairs(str(folder / "sub"), str(folder / "img*"))
     (folder / "void").mkdir()
     with pytest.raises(DataError, match=r"void is empty"):

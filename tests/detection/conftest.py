@@ -10,12 +10,12 @@ from binocal.boards import Board, parse_board
 from binocal.cameras import Camera
 from binocal.geometry import SE3
 from binocal.geometry.so3 import exp
-from binocal.simulation import RenderOptions, render_picture
+from binocal.simulation import RenderOptions, render_image
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A rendered picture, its board and the true corners (NaN outside the picture)."""
+    """A rendered image, its board and the true corners (NaN outside the image)."""
 
     image: np.ndarray
     board: Board
@@ -24,7 +24,7 @@ class Shot:
 
 @pytest.fixture(scope="session")
 def shoot() -> Callable[..., Shot]:
-    """Pictures of a board given by its SPEC, turned by a rotation vector, ``distance`` board widths away."""
+    """Images of a board given by its SPEC, turned by a rotation vector, ``distance`` board widths away."""
 
     def shoot(spec, xi_rad=(0.25, -0.3, 0.1), distance=1.9, shift=(0.0, 0.0), size_wh=(640, 480), seed=0, **options):
         board = parse_board(spec)
@@ -34,7 +34,7 @@ def shoot() -> Callable[..., Shot]:
         extent = float(np.ptp(points[:, :2], axis=0).max())
         R = exp(np.array(xi_rad, dtype=float))
         t = np.array([shift[0] * extent, shift[1] * extent, distance * extent * 1.1]) - R @ points.mean(axis=0)
-        rendered = render_picture(camera, SE3(R, t), board, RenderOptions(**options), np.random.default_rng(seed))
+        rendered = render_image(camera, SE3(R, t), board, RenderOptions(**options), np.random.default_rng(seed))
         return Shot(rendered.image, board, rendered.corners_px)
 
     return shoot

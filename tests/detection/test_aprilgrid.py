@@ -26,7 +26,7 @@ def test_ids_that_run_from_the_top_are_read_in_the_boards_order_too(shoot):
     shot = shoot(SPEC, size_wh=(960, 720))
     upside_down = np.ascontiguousarray(shot.image[::-1, ::-1])
     found, layout = detect_aprilgrid(upside_down, stretch(upside_down)[0], shot.board)
-    assert layout is not None and layout.is_bottom_up  # turning the picture does not turn the print
+    assert layout is not None and layout.is_bottom_up  # turning the image does not turn the print
     back = np.array([959, 719]) - found.points_px
     assert np.nanmax(np.abs(back - shot.corners_px)) < 0.3
 

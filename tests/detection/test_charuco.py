@@ -13,7 +13,7 @@ SPEC = "charuco:8x6:30mm:22mm:DICT_5X5_50"
 
 @pytest.mark.parametrize("is_legacy", [False, True])
 @pytest.mark.parametrize("spec", [SPEC, "charuco:7x5:30mm:22mm:DICT_4X4_50", "charuco:5x8:30mm:20mm:DICT_6X6_250"])
-def test_both_layouts_are_told_by_the_picture(shoot, spec, is_legacy):
+def test_both_layouts_are_told_by_the_image(shoot, spec, is_legacy):
     shot = shoot(spec, is_legacy_charuco=is_legacy, size_wh=(800, 600), distance=1.9)
     found, layout = detect_charuco(shot.image, stretch(shot.image)[0], shot.board)
     assert found.is_found and found.is_seen.all(), found.reason

@@ -43,7 +43,7 @@ def test_the_stated_covariance_is_honest(shoot):
 
 
 @pytest.mark.parametrize("change", ["16 bit", "colour", "inverted", "dark", "blurred", "small"])
-def test_other_pictures_of_the_same_board(shoot, change):
+def test_other_images_of_the_same_board(shoot, change):
     options = {"16 bit": {"bit_depth": 16}, "blurred": {"blur_px": 3.0}, "small": {"distance": 4.0}}.get(change, {})
     shot = shoot("chessboard:9x6:30mm", **options)
     image = shot.image
@@ -121,7 +121,7 @@ def test_half_a_board_is_refused(shoot):
         (np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8), "no chessboard"),
     ],
 )
-def test_pictures_without_a_board(image, reason):
+def test_images_without_a_board(image, reason):
     assert reason in detect(image, parse_board("chessboard:9x6:30mm")).reason
 
 
@@ -136,8 +136,8 @@ def test_the_size_of_an_unknown_board(shoot):
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((40, 40, 2), np.uint8), np.zeros(40, np.uint8)])
-def test_what_is_no_picture_is_the_callers_mistake(image):
-    with pytest.raises(ValueError, match="a picture is"):
+def test_what_is_no_image_is_the_callers_mistake(image):
+    with pytest.raises(ValueError, match="an image is"):
         detect(image, parse_board("chessboard:9x6:30mm"))
 
 
@@ -145,6 +145,6 @@ def test_what_is_no_picture_is_the_callers_mistake(image):
 def test_stretching_leaves_room_for_what_is_brighter_than_almost_all_else(dtype, unit):
     grey = (60 + 40 * np.random.default_rng(0).random((240, 320))).astype(dtype) * unit
     grey[100:106, 150:156] = 115 * unit
-    picture, problem = stretch_8_bit(grey.astype(dtype))
-    assert not problem and 200 < picture[103, 153] <= 255
-    assert picture[103, 153] > picture[:90].max() + 20  # the percentiles alone would saturate both
+    image, problem = stretch_8_bit(grey.astype(dtype))
+    assert not problem and 200 < image[103, 153] <= 255
+    assert image[103, 153] > image[:90].max() + 20  # the percentiles alone would saturate both

@@ -21,7 +21,7 @@ def test_centres_are_those_of_the_circles_and_not_of_their_images(shoot, spec, x
 
 
 @pytest.mark.parametrize("xi_rad", TURNS)
-def test_no_shift_is_left_on_exact_pictures(shoot, xi_rad):
+def test_no_shift_is_left_on_exact_images(shoot, xi_rad):
     shot = shoot("circles:8x6:30mm", xi_rad, size_wh=(1280, 960), noise_dn=0.0)
     error = detect(shot.image, shot.board).points_px - shot.corners_px
     assert np.sqrt(np.mean(error**2)) < 0.005  # measured 0.0015 to 0.003; uncorrected 0.14

@@ -21,7 +21,7 @@ def fit_shot(shot, reach_px=40.0, **options):
 
 
 @pytest.mark.parametrize("blur_px", [0.5, 0.8, 2.0])
-def test_no_bias_on_exact_pictures(shoot, blur_px):
+def test_no_bias_on_exact_images(shoot, blur_px):
     shot = shoot(SPEC, blur_px=blur_px, noise_dn=0.0, bit_depth=16, **BIG)
     error = fit_shot(shot).points_px - shot.corners_px
     assert np.sqrt(np.mean(error**2)) < 5e-4  # measured 1e-4 to 2e-4

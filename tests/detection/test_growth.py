@@ -1,4 +1,4 @@
-"""Lattices that lost their way: grown line by line, and only where the picture bears it out."""
+"""Lattices that lost their way: grown line by line, and only where the image bears it out."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def true_grid(scene):
     ids=["columns", "rows", "both"],
 )
 def test_a_part_grows_to_the_whole_board(scene, rows, columns, before):
-    picture, smooth = scene
-    whole = true_grid(picture)
+    image, smooth = scene
+    whole = true_grid(image)
     part = whole[rows, columns].copy()
     part[1, 2] = np.nan
-    grown, n_before = grow(picture.image, smooth, part, (11, 8))
+    grown, n_before = grow(image.image, smooth, part, (11, 8))
     assert n_before == before and grown.shape == whole.shape
     off = np.linalg.norm(grown - whole, axis=-1)
     assert np.nanmax(off) < 1.0 and np.isnan(off).sum() == 1  # measured .4; the hole is left to the refinement
@@ -40,16 +40,16 @@ def test_a_part_grows_to_the_whole_board(scene, rows, columns, before):
 
 @pytest.mark.parametrize("size", [(12, 8), (11, 9)])
 def test_no_line_is_made_up_beyond_the_board(scene, size):
-    picture, smooth = scene
-    assert grow(picture.image, smooth, true_grid(picture), size) is None
-    assert grow(picture.image, smooth, true_grid(picture)[2:], size) is None
+    image, smooth = scene
+    assert grow(image.image, smooth, true_grid(image), size) is None
+    assert grow(image.image, smooth, true_grid(image)[2:], size) is None
 
 
 def test_a_plain_wall_and_a_piece_too_small_grow_nothing(scene):
-    picture, smooth = scene
-    assert grow(picture.image, smooth, true_grid(picture)[:2], (11, 8)) is None
-    grey = np.full(picture.image.shape, 90, np.uint8)
-    assert grow(grey, grey.astype(np.float32), true_grid(picture)[:5], (11, 8)) is None
+    image, smooth = scene
+    assert grow(image.image, smooth, true_grid(image)[:2], (11, 8)) is None
+    grey = np.full(image.image.shape, 90, np.uint8)
+    assert grow(grey, grey.astype(np.float32), true_grid(image)[:5], (11, 8)) is None
 
 
 @pytest.mark.parametrize(

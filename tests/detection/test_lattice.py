@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from binocal.detection.lattice import continues_beyond, find_lattices, link_corners, predict_missing
-from binocal.detection.xcorners import SaddlePicture, find_x_corners, localize_saddles, read_rings
+from binocal.detection.xcorners import SaddleImage, find_x_corners, localize_saddles, read_rings
 
 
 def smooth_of(image):
@@ -12,7 +12,7 @@ def smooth_of(image):
 
 
 def saddles_of(image):
-    return SaddlePicture.of(smooth_of(image), 3.0)
+    return SaddleImage.of(smooth_of(image), 3.0)
 
 
 def lattices_of(saddles):
@@ -32,9 +32,9 @@ def test_x_corners_are_the_boards_and_their_rays_follow_the_edges(shoot):
 
 
 def test_edges_and_flat_areas_are_no_corners():
-    picture = np.zeros((60, 60), np.float32)
-    picture[:, 30:] = 200
-    is_corner, _, _ = read_rings(smooth_of(picture), np.array([[29.5, 30.0], [10.0, 10.0]], np.float32), 3.0)
+    image = np.zeros((60, 60), np.float32)
+    image[:, 30:] = 200
+    is_corner, _, _ = read_rings(smooth_of(image), np.array([[29.5, 30.0], [10.0, 10.0]], np.float32), 3.0)
     assert not is_corner.any()
     assert len(find_x_corners(saddles_of(np.full((60, 60), 90, np.uint8)))) == 0
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.datasets import PicturePair, list_pairs
+from binocal.datasets import ImagePair, list_pairs
 from binocal.detection import detect_pairs
 from binocal.errors import CancelledError, DataError, DetectionError
 
@@ -14,16 +14,16 @@ TURNS = [(0.25, -0.3, 0.1), (-0.3, 0.2, 0.2), (0.3, 0.3, -0.2), (0.1, -0.4, 0.0)
 
 
 @pytest.fixture(scope="session")
-def pictures(shoot):
-    """Left and right pictures of four views, and the true corners of the left ones."""
+def images(shoot):
+    """Left and right images of four views, and the true corners of the left ones."""
     lefts = [shoot("chessboard:7x6:30mm", turn, seed=i) for i, turn in enumerate(TURNS)]
     rights = [shoot("chessboard:7x6:30mm", turn, shift=(-0.1, 0), seed=9 + i) for i, turn in enumerate(TURNS)]
     return lefts, rights
 
 
 @pytest.fixture
-def folder(tmp_path, pictures):
-    for side, shots in zip(("left", "right"), pictures, strict=True):
+def folder(tmp_path, images):
+    for side, shots in zip(("left", "right"), images, strict=True):
         for i, shot in enumerate(shots):
             cv2.imwrite(str(tmp_path / f"{side}{i}.png"), shot.image)
     return tmp_path
@@ -33,12 +33,12 @@ def pairs_in(folder):
     return list_pairs(str(folder / "left*"), str(folder / "right*"))
 
 
-def test_all_views_in_order_with_progress(folder, pictures):
+def test_all_views_in_order_with_progress(folder, images):
     calls = []
     found = detect_pairs(pairs_in(folder), BOARD, progress=lambda done, total: calls.append((done, total)), n_threads=2)
     assert found.detections.names == ("0", "1", "2", "3") and not found.rejected and not found.notes
     assert found.detections.left_size_wh == (640, 480) and found.detections.is_metric
-    truth = np.stack([shot.corners_px for shot in pictures[0]])
+    truth = np.stack([shot.corners_px for shot in images[0]])
     assert np.abs(found.detections.left_px - truth).max() < 0.15
     covariances = found.detections.left_covariance_px2, found.detections.right_covariance_px2
     assert covariances[0].shape == (4, 42, 2, 2) and (covariances[1][..., 0, 0] > 0).all()
@@ -50,14 +50,14 @@ def test_results_do_not_depend_on_threads(folder):
     assert np.array_equal(one.detections.left_px, three.detections.left_px)
 
 
-def test_unreadable_pictures_reject_their_view_by_name(folder):
+def test_unreadable_images_reject_their_view_by_name(folder):
     content = (folder / "left1.png").read_bytes()
     (folder / "left1.png").write_bytes(content[: len(content) // 2])
-    (folder / "right2.png").write_text("this is no picture")
+    (folder / "right2.png").write_text("this is no image")
     found = detect_pairs(pairs_in(folder), BOARD)
     reasons = {view.name: view.reason for view in found.rejected}
     assert found.detections.names == ("0", "3")
-    assert "left1.png is a truncated PNG" in reasons["1"] and "right2.png is not a picture but text" in reasons["2"]
+    assert "left1.png is a truncated PNG" in reasons["1"] and "right2.png is not an image but text" in reasons["2"]
 
 
 def test_a_view_of_one_camera_is_kept_with_a_note_and_of_none_is_rejected(folder):
@@ -66,15 +66,15 @@ def test_a_view_of_one_camera_is_kept_with_a_note_and_of_none_is_rejected(folder
     found = detect_pairs(pairs_in(folder), BOARD)
     assert found.detections.names == ("0", "1", "3")
     assert np.isnan(found.detections.left_px[1]).all() and np.isfinite(found.detections.right_px[1]).all()
-    assert "view 1 is used for the right camera only: left1.png: the picture is blank" in found.notes[0]
+    assert "view 1 is used for the right camera only: left1.png: the image is blank" in found.notes[0]
     assert found.rejected[0].name == "2" and found.rejected[0].reason.count("blank") == 2
 
 
-def test_one_picture_of_another_size_is_rejected_and_half_of_them_are_refused(folder):
+def test_one_image_of_another_size_is_rejected_and_half_of_them_are_refused(folder):
     small = cv2.resize(cv2.imread(str(folder / "left1.png"), 0), (320, 240))
     cv2.imwrite(str(folder / "left1.png"), small)
     found = detect_pairs(pairs_in(folder), BOARD)
-    assert "left1.png is 320x240, the other left pictures are 640x480" in found.rejected[0].reason
+    assert "left1.png is 320x240, the other left images are 640x480" in found.rejected[0].reason
     cv2.imwrite(str(folder / "left2.png"), small)
     with pytest.raises(DataError, match=r"differ in size.*640x480.*320x240|differ in size.*320x240.*640x480"):
         detect_pairs(pairs_in(folder), BOARD)
@@ -90,7 +90,7 @@ def test_left_and_right_may_differ_in_size(folder):
 
 @pytest.mark.parametrize("spec", ["chessboard:6x5:30mm", "chessboard:8x6:30mm", "chessboard:9x7:30mm"])
 def test_a_wrong_size_ends_with_the_right_one(folder, spec):
-    with pytest.raises(DetectionError, match=r"found in none of 8 pictures .*did you mean chessboard:7x6\?") as caught:
+    with pytest.raises(DetectionError, match=r"found in none of 8 images .*did you mean chessboard:7x6\?") as caught:
         detect_pairs(pairs_in(folder), parse_board(spec))
     assert set(caught.value.reasons) == {f"{side}{i}.png" for side in ("left", "right") for i in range(4)}
     assert "\n" not in str(caught.value)
@@ -121,7 +121,7 @@ def test_marker_boards_agree_on_one_layout_and_other_families_are_named(tmp_path
 
 
 def test_the_caller_can_stop(folder):
-    with pytest.raises(CancelledError, match=r"of 8 pictures"):
+    with pytest.raises(CancelledError, match=r"of 8 images"):
         detect_pairs(pairs_in(folder), BOARD, should_stop=lambda: True, n_threads=1)
 
 
@@ -140,6 +140,6 @@ def test_opencvs_threads_come_back(folder):
 def test_nothing_to_read(tmp_path):
     with pytest.raises(DataError, match=r"no pair"):
         detect_pairs((), BOARD)
-    pair = PicturePair("0", tmp_path / "left.png", tmp_path / "right.png")
-    with pytest.raises(DataError, match=r"none of the 2 pictures can be read.*no such file"):
+    pair = ImagePair("0", tmp_path / "left.png", tmp_path / "right.png")
+    with pytest.raises(DataError, match=r"none of the 2 images can be read.*no such file"):
         detect_pairs((pair,), BOARD)

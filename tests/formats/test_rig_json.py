@@ -37,7 +37,7 @@ def test_the_document_has_the_keys_of_the_contract(tmp_path):
         "all",
     }
     assert document["sigma"] == {"left.fx": 0.5, "rotation.x": 1e-4, "translation.x": None}
-    assert document["rejected"] == [{"name": "02", "reason": "no board found in the left picture"}]
+    assert document["rejected"] == [{"name": "02", "reason": "no board found in the left image"}]
     assert document["provenance"] == {"seed": 0, "cost": None, "version": "x", "shape": [1, 2], "n": 3}
 
 

@@ -16,7 +16,7 @@ def test_opencv_reads_the_same_pixels(dtype, shape):
 
 
 def test_anything_else_is_refused():
-    with pytest.raises(ValueError, match="grey picture"):
+    with pytest.raises(ValueError, match="grey image"):
         encode_png(np.zeros((3, 3, 3), dtype=np.uint8))
-    with pytest.raises(ValueError, match="grey picture"):
+    with pytest.raises(ValueError, match="grey image"):
         encode_png(np.zeros((3, 3)))

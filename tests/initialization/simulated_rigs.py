@@ -55,7 +55,7 @@ def simulate(
     tilt_deg: tuple[float, float] = (10, 45),
     distance_m: tuple[float, float] | None = None,
 ) -> Rig:
-    """Boards at random places, tilted about random axes, wholly inside both pictures."""
+    """Boards at random places, tilted about random axes, wholly inside both images."""
     rng = np.random.default_rng(seed)
     points = grid() if points is None else points
     functions = camera_model(model)

@@ -214,9 +214,9 @@ REFUSED: dict[str, tuple[Callable[[Rig], Detections], type[BinocalError], str]] 
     ),
     "one view": (lambda r: r.detections().select(np.arange(1)), TooFewViewsError, "1 usable view, 3 needed"),
     "two views": (lambda r: r.detections().select(np.arange(2)), TooFewViewsError, "2 usable views, 3 needed"),
-    "picture size too small": (lambda r: _size(r, 640, 480), DataError, "lies outside the 640x480 picture"),
-    "picture size swapped": (lambda r: _size(r, 960, 1280), DataError, "swapped: give 1280x960"),
-    "picture size too large": (lambda r: _size(r, 2560, 1920), DataError, "image size looks wrong"),
+    "image size too small": (lambda r: _size(r, 640, 480), DataError, "lies outside the 640x480 image"),
+    "image size swapped": (lambda r: _size(r, 960, 1280), DataError, "swapped: give 1280x960"),
+    "image size too large": (lambda r: _size(r, 2560, 1920), DataError, "image size looks wrong"),
     "right corners at half resolution": (
         lambda r: r.detections(right_px=r.right_px / 2),
         DataError,
@@ -251,7 +251,7 @@ def test_a_smaller_right_camera_is_no_fault() -> None:
     assert diagnose_views(detections).right.parameters[0] == pytest.approx(800, rel=0.02)
 
 
-def test_a_picture_size_off_in_one_axis_is_warned_of() -> None:
+def test_a_image_size_off_in_one_axis_is_warned_of() -> None:
     assert any(
         "check the image size" in warning for warning in diagnose_views(_size(simulate(14), 1920, 1080)).warnings
     )

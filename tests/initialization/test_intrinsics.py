@@ -88,21 +88,21 @@ def test_no_view_and_an_unknown_model_are_refused() -> None:
 
 
 @pytest.mark.data
-def test_real_fisheye_pictures() -> None:
+def test_real_fisheye_images() -> None:
     folder = Path(os.environ.get("BINOCAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "stereopi_fisheye"
     if not folder.is_dir():
-        pytest.skip(f"real pictures not found at {folder}; set BINOCAL_DATA")
+        pytest.skip(f"real images not found at {folder}; set BINOCAL_DATA")
     import cv2
 
     points = np.stack([*np.divmod(np.arange(54), 9)[::-1], np.zeros(54)], axis=-1) * 0.025
     views = []
     for path in sorted(folder.glob("left_*.png"))[:14]:
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         found, corners = cv2.findChessboardCorners(
-            picture, (9, 6), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_FAST_CHECK
+            image, (9, 6), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_FAST_CHECK
         )
         if found:
-            corners = cv2.cornerSubPix(picture, corners, (5, 5), (-1, -1), (3, 40, 1e-3))
+            corners = cv2.cornerSubPix(image, corners, (5, 5), (-1, -1), (3, 40, 1e-3))
             views.append(corners.reshape(-1, 2))
     camera = estimate_intrinsics(points, np.array(views, dtype=float), (640, 480), "fisheye4")
     assert len(views) >= 6

@@ -27,7 +27,7 @@ def test_the_quadratic_form_predicts_pixels() -> None:
     right = estimate_poses("brown4", TABLE2, rig.points, rig.right_px)
     assert np.median(left.rms_px) == pytest.approx(0.2 * np.sqrt(2), rel=0.1)
     assert np.max(transfer_px(rig.T_right_left, left, right, SE3.identity())) < 1.0
-    shifted = SE3(np.eye(3), np.array([0.02, 0, 0]))  # one column: the spacing in the picture is 30 to 90 px
+    shifted = SE3(np.eye(3), np.array([0.02, 0, 0]))  # one column: the spacing in the image is 30 to 90 px
     assert np.min(transfer_px(rig.T_right_left, left, right, shifted)) > 15
 
 

@@ -58,7 +58,7 @@ def test_a_clean_set_goes_the_short_way_and_ends_where_the_long_one_does(monkeyp
     assert short.noise_px == pytest.approx(long.noise_px, rel=1e-3) and short.rejected == long.rejected == ()
 
 
-@pytest.mark.parametrize("what", ["flipped view", "wild corners", "collinear view", "swapped pictures of one view"])
+@pytest.mark.parametrize("what", ["flipped view", "wild corners", "collinear view", "swapped images of one view"])
 def test_a_doubtful_set_goes_the_long_way(what):
     _, detections = make_views(30)
     right = detections.right_px.copy()

@@ -1,4 +1,4 @@
-"""How the fits of one picture become one estimate, stated plainly in NumPy (``corner_pool.hpp`` has the reasons)."""
+"""How the fits of one image become one estimate, stated plainly in NumPy (``corner_pool.hpp`` has the reasons)."""
 
 from __future__ import annotations
 

@@ -44,14 +44,14 @@ def read_ring(image, point, radius, min_contrast, max_unlikeness):
     return (rays if is_straight else None), contrast
 
 
-def localize_saddle(picture, start, fit, reach):
+def localize_saddle(image, start, fit, reach):
     """One point after two rounds."""
     point, step = start.copy(), np.arange(-reach, reach + 1)
     for _ in range(2):
         x, y = np.rint(point).astype(int)
-        if min(x, y) < reach or x >= picture.shape[1] - reach or y >= picture.shape[0] - reach:
+        if min(x, y) < reach or x >= image.shape[1] - reach or y >= image.shape[0] - reach:
             break
-        a, b, c, d, e = fit @ picture[np.ix_(y + step, x + step)].ravel().astype(float)
+        a, b, c, d, e = fit @ image[np.ix_(y + step, x + step)].ravel().astype(float)
         determinant = 4 * a * c - b * b
         moved = np.array([x, y]) + np.array([b * e - 2 * c * d, b * d - 2 * a * e]) / determinant
         if determinant < -1e-6 and (np.abs(moved - start) <= reach).all():

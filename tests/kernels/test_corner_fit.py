@@ -4,7 +4,7 @@ import numpy as np
 import plain_corner_fit as plain
 import pytest
 
-from binocal.kernels.pictures import fit_corners
+from binocal.kernels.images import fit_corners
 
 
 def make_corner(opening_rad=1.4, turn_rad=0.3, blur_px=1.1, tone=0.0, noise_dn=2.0, seed=0, at=(20.3, 19.6)):
@@ -95,14 +95,14 @@ def test_no_corner_is_no_number():
     assert fit_corners(image, np.zeros((0, 2)), np.zeros(0), np.zeros(0)).points_px.shape == (0, 2)
 
 
-def test_a_picture_of_another_type_is_the_callers_mistake():
+def test_a_image_of_another_type_is_the_callers_mistake():
     with pytest.raises(ValueError, match="float64"):
         fit_one(np.zeros((41, 41)))
     with pytest.raises(ValueError, match="uint8"):
         fit_one(np.zeros((41, 41, 3), np.uint8))
 
 
-def test_pictures_that_are_not_contiguous_are_read_alike():
+def test_images_that_are_not_contiguous_are_read_alike():
     image, _ = make_corner()
     wide = np.repeat(image, 2, axis=1)
     assert np.array_equal(fit_one(wide[:, ::2]).points_px, fit_one(image).points_px)

@@ -4,7 +4,7 @@ import numpy as np
 import plain_corner_pool as plain
 import pytest
 
-from binocal.kernels.pictures import CornerFits, pool_corners
+from binocal.kernels.images import CornerFits, pool_corners
 
 
 def make_fits(columns, rows, seed=0):

@@ -4,7 +4,7 @@ import numpy as np
 import plain_xcorners as plain
 import pytest
 
-from binocal.kernels import pictures
+from binocal.kernels import images
 
 
 def make_board(noise_dn=4.0, seed=0, dtype=np.float32):
@@ -25,10 +25,10 @@ def make_board(noise_dn=4.0, seed=0, dtype=np.float32):
 def test_samples_are_bilinear_and_repeat_the_border(dtype):
     image, _ = make_board(dtype=dtype)
     points = np.random.default_rng(1).uniform(-5, 195, (40, 3, 2))
-    assert np.allclose(pictures.sample(image, points), plain.sample(image, points), atol=1e-3)
-    assert pictures.sample(image, np.array([[189.0, 149.0]]))[0] == image[149, 189]
-    assert pictures.sample(image, np.array([[np.nan, 1.0]]))[0] == 0
-    assert pictures.sample(image, np.zeros((0, 2))).shape == (0,)
+    assert np.allclose(images.sample(image, points), plain.sample(image, points), atol=1e-3)
+    assert images.sample(image, np.array([[189.0, 149.0]]))[0] == image[149, 189]
+    assert images.sample(image, np.array([[np.nan, 1.0]]))[0] == 0
+    assert images.sample(image, np.zeros((0, 2))).shape == (0,)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
@@ -36,7 +36,7 @@ def test_samples_are_bilinear_and_repeat_the_border(dtype):
 def test_rings_are_the_plain_statement(dtype, noise_dn):
     image, points = make_board(noise_dn, dtype=dtype)
     points = np.concatenate([points, np.random.default_rng(2).uniform(0, 150, (60, 2))])
-    is_corner, rays, contrast = pictures.read_rings(image, points, 4.0, 6.0, 0.35)
+    is_corner, rays, contrast = images.read_rings(image, points, 4.0, 6.0, 0.35)
     assert 20 < is_corner.sum() < len(points)
     for i, point in enumerate(points):
         expected, span = plain.read_ring(image, point, 4.0, 6.0, 0.35)
@@ -53,7 +53,7 @@ def test_saddles_are_the_plain_statement():
     y, x = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
     fit += np.linalg.pinv(np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1).astype(float))[:5]
     points = np.concatenate([points, [[2.0, 50.0], [60.0, 148.0], [np.nan, np.nan]]])
-    moved = pictures.localize_saddles(image, points, fit, 4)
+    moved = images.localize_saddles(image, points, fit, 4)
     assert (
         np.array_equal(moved[-3:], points[-3:], equal_nan=True) and (moved[:-3] != points[:-3]).any(axis=1).mean() > 0.9
     )
@@ -63,19 +63,19 @@ def test_saddles_are_the_plain_statement():
 @pytest.mark.parametrize("noise_dn", [3.0, 30.0])
 def test_links_and_groups_are_the_plain_statements(noise_dn):
     image, points = make_board(noise_dn)
-    is_corner, rays, contrast = pictures.read_rings(image, points, 4.0, 6.0, 0.45)
+    is_corner, rays, contrast = images.read_rings(image, points, 4.0, 6.0, 0.45)
     points, rays, contrast = points[is_corner], rays[is_corner], contrast[is_corner]
-    neighbour, back_ray = pictures.link_corners(image, points, rays, contrast, 0.44)
+    neighbour, back_ray = images.link_corners(image, points, rays, contrast, 0.44)
     expected, expected_back = plain.link_corners(image, points, rays, contrast, 0.44)
     assert np.array_equal(neighbour, expected) and (neighbour >= 0).sum() > 40
     assert np.array_equal(back_ray[neighbour >= 0], expected_back[neighbour >= 0])
-    groups, plain_groups = (f(points, neighbour, back_ray) for f in (pictures.grow_groups, plain.grow_groups))
+    groups, plain_groups = (f(points, neighbour, back_ray) for f in (images.grow_groups, plain.grow_groups))
     assert len(groups) == len(plain_groups) > 0
     for group, expected_group in zip(groups, plain_groups, strict=True):
         assert all(np.array_equal(part, whole) for part, whole in zip(group, expected_group, strict=True))
     way = points[neighbour[neighbour >= 0]] - points[np.nonzero(neighbour >= 0)[0]]
     start, sign = points[np.nonzero(neighbour >= 0)[0]], np.tile([1.0, -1.0], len(way))[: len(way)]
-    seen = pictures.follow_edges(image, start, way, sign, np.full(len(way), 60.0))
+    seen = images.follow_edges(image, start, way, sign, np.full(len(way), 60.0))
     assert seen.tolist() == [plain.is_edge(image, *edge, 60.0) for edge in zip(start, way, sign, strict=True)]
 
 
@@ -87,7 +87,7 @@ def test_a_link_across_a_shadow_does_not_shear_a_group():
             if 0 <= x + dx < 6 and 0 <= y + dy < 4:
                 neighbour[i, ray], back_ray[i, ray] = i + dx + 6 * dy, (ray + 2) % 4
     neighbour[14, 0], neighbour[9, 2], neighbour[15, 2], neighbour[8, 0] = 9, 14, -1, -1  # (2, 2) to (3, 1), not (3, 2)
-    groups, plain_groups = (f(points, neighbour, back_ray) for f in (pictures.grow_groups, plain.grow_groups))
+    groups, plain_groups = (f(points, neighbour, back_ray) for f in (images.grow_groups, plain.grow_groups))
     assert all(np.array_equal(part, whole) for part, whole in zip(groups[0], plain_groups[0], strict=True))
     members, cells, _ = groups[0]
     assert len(members) == 24 and np.array_equal(cells - cells[members == 0], (points[members] / 20).astype(int))
@@ -96,28 +96,28 @@ def test_a_link_across_a_shadow_does_not_shear_a_group():
 def test_no_corners_give_no_groups():
     image = np.zeros((40, 40), np.float32)
     none = np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0)
-    neighbour, back_ray = pictures.link_corners(image, *none, 0.4)
-    assert neighbour.shape == (0, 4) and pictures.grow_groups(none[0], neighbour, back_ray) == []
-    assert pictures.read_rings(image, np.array([[20.0, 20.0]]), 3.0, 6.0, 0.35)[0].tolist() == [False]
+    neighbour, back_ray = images.link_corners(image, *none, 0.4)
+    assert neighbour.shape == (0, 4) and images.grow_groups(none[0], neighbour, back_ray) == []
+    assert images.read_rings(image, np.array([[20.0, 20.0]]), 3.0, 6.0, 0.35)[0].tolist() == [False]
     with pytest.raises(ValueError, match="lengths"):
-        pictures.link_corners(image, np.zeros((2, 2)), np.zeros((1, 4)), np.zeros(2), 0.4)
+        images.link_corners(image, np.zeros((2, 2)), np.zeros((1, 4)), np.zeros(2), 0.4)
 
 
 def test_the_response_is_the_plain_statement():
     image, _ = make_board(noise_dn=8.0)
-    response = pictures.saddle_response(image)
+    response = images.saddle_response(image)
     assert np.allclose(response, plain.saddle_response(image), rtol=1e-4, atol=1e-2)
     into = np.empty_like(image)
-    assert pictures.saddle_response(image, into) is into and np.array_equal(into, response)
+    assert images.saddle_response(image, into) is into and np.array_equal(into, response)
     with pytest.raises(ValueError, match="shape"):
-        pictures.saddle_response(image, np.empty((3, 3), np.float32))
+        images.saddle_response(image, np.empty((3, 3), np.float32))
 
 
 @pytest.mark.parametrize("reach, margin, least, most", [(1, 1, -1e9, 100_000), (2, 5, 50.0, 40), (4, 3, 1e9, 10)])
 def test_peaks_are_the_plain_statement(reach, margin, least, most):
     image, _ = make_board(noise_dn=8.0)
-    response = pictures.saddle_response(image)
-    peaks = pictures.find_peaks(response, reach, margin, least, most)
+    response = images.saddle_response(image)
+    peaks = images.find_peaks(response, reach, margin, least, most)
     expected = plain.find_peaks(response.astype(float), reach, margin, least, most)
     assert len(peaks) == len(expected) and (len(peaks) > 0) == (least < 1e6)
     assert np.allclose(peaks, expected, atol=1e-5)

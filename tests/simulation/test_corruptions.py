@@ -95,7 +95,7 @@ def test_exchanged_columns_and_rows(clean):
 
 def test_halved_resolution_keeps_the_pixel_convention(clean):
     halved = halve_right_resolution(clean)
-    # the centre of the full picture stays the centre of the half one
+    # the centre of the full image stays the centre of the half one
     assert (halved.right_px + 0.5) * 2 == pytest.approx(clean.right_px + 0.5)
     assert halved.right_size_wh == clean.right_size_wh
     assert np.array_equal(halved.left_px, clean.left_px)

@@ -30,10 +30,10 @@ def test_charuco_is_opencvs_board(size, is_legacy, dictionary, marker):
     tags = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     theirs = cv2.aruco.CharucoBoard(size, 1.0, marker, tags)
     theirs.setLegacyPattern(is_legacy)
-    picture = theirs.generateImage((size[0] * scale, size[1] * scale), marginSize=0, borderBits=1)
+    image = theirs.generateImage((size[0] * scale, size[1] * scale), marginSize=0, borderBits=1)
     cells = cell_print(Board("charuco", *size, 1.0, False, marker, dictionary), is_legacy_charuco=is_legacy)
     rows, columns = (np.floor(_centres(e) * scale).astype(int) for e in (cells.y_edges, cells.x_edges))
-    assert np.array_equal(picture[np.ix_(rows, columns)] == 0, cells.ink == 1)
+    assert np.array_equal(image[np.ix_(rows, columns)] == 0, cells.ink == 1)
 
 
 def test_charuco_needs_enough_markers_and_a_known_dictionary():

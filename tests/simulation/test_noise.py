@@ -47,7 +47,7 @@ def test_outliers_and_missing_corners_have_the_stated_share_and_size(scene):
         assert 0.7 * 0.05 * n * 0.7 < len(moved) < 1.3 * 0.05 * n * 0.7
 
 
-def test_corners_outside_a_picture_are_missing():
+def test_corners_outside_a_image_are_missing():
     scene = sample_scene(table2_rig(), BOARD, 20, np.random.default_rng(0), PoseOptions(min_visible_share=0.5))
     detections = simulate_detections(scene, np.random.default_rng(0))
     assert not detections.left_is_seen.all()

@@ -9,8 +9,8 @@ from binocal.simulation import (
     PoseOptions,
     RenderOptions,
     random_rig,
+    render_image,
     render_light,
-    render_picture,
     sample_scene,
     table2_rig,
 )
@@ -23,59 +23,59 @@ def _render(spec, seed, **options):
     rng = np.random.default_rng(seed)
     board = parse_board(spec)
     scene = sample_scene(table2_rig(), board, 1, rng, LARGE)
-    picture = render_picture(scene.rig.left, scene.T_left_board[0], board, RenderOptions(**options), rng)
-    return board, scene, picture
+    image = render_image(scene.rig.left, scene.T_left_board[0], board, RenderOptions(**options), rng)
+    return board, scene, image
 
 
-def test_truth_is_the_projection_and_nan_outside_the_picture():
+def test_truth_is_the_projection_and_nan_outside_the_image():
     rig = table2_rig()
     rng = np.random.default_rng(1)
     scene = sample_scene(rig, CHESS, 12, rng, PoseOptions(min_visible_share=0.4, fill=(0.6, 0.8)))
     share = [np.isfinite(px[:, 0]).mean() for px in scene.project()[0]]
     view = int(np.argmin(share))
     assert share[view] < 1
-    picture = render_picture(rig.left, scene.T_left_board[view], CHESS, RenderOptions(), rng)
-    assert np.array_equal(picture.corners_px, scene.project()[0][view], equal_nan=True)
-    assert picture.image.shape == (960, 1280)
-    assert picture.image.dtype == np.uint8
+    image = render_image(rig.left, scene.T_left_board[view], CHESS, RenderOptions(), rng)
+    assert np.array_equal(image.corners_px, scene.project()[0][view], equal_nan=True)
+    assert image.image.shape == (960, 1280)
+    assert image.image.dtype == np.uint8
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_opencvs_chessboard_finder_agrees(seed):
-    board, _, picture = _render("chessboard:9x6:30mm", seed)
-    is_found, corners = cv2.findChessboardCorners(picture.image, (board.columns, board.rows))
+    board, _, image = _render("chessboard:9x6:30mm", seed)
+    is_found, corners = cv2.findChessboardCorners(image.image, (board.columns, board.rows))
     assert is_found
-    corners = cv2.cornerSubPix(picture.image, corners, (5, 5), (-1, -1), (3, 50, 1e-4)).reshape(-1, 2)
-    if np.abs(corners[0] - picture.corners_px[0]).max() > 20:
+    corners = cv2.cornerSubPix(image.image, corners, (5, 5), (-1, -1), (3, 50, 1e-4)).reshape(-1, 2)
+    if np.abs(corners[0] - image.corners_px[0]).max() > 20:
         corners = corners[::-1]
-    error = corners - picture.corners_px
+    error = corners - image.corners_px
     assert np.abs(error.mean(axis=0)).max() < 0.02  # measured .004
     assert np.abs(error).max() < 0.15  # measured .08
 
 
 @pytest.mark.parametrize("is_legacy", [False, True])
 def test_opencvs_charuco_detector_agrees(is_legacy):
-    board, _, picture = _render("charuco:7x6:30mm:22mm:DICT_5X5_50", 3, is_legacy_charuco=is_legacy)
+    board, _, image = _render("charuco:7x6:30mm:22mm:DICT_5X5_50", 3, is_legacy_charuco=is_legacy)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
     theirs = cv2.aruco.CharucoBoard((7, 6), board.pitch_m, board.marker_m, dictionary)
     theirs.setLegacyPattern(is_legacy)
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(theirs).detectBoard(picture.image)
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(theirs).detectBoard(image.image)
     assert sorted(ids.ravel()) == list(range(board.n_points))
     assert np.allclose(theirs.getChessboardCorners(), board.object_points_m)
-    error = corners.reshape(-1, 2) - picture.corners_px[ids.ravel()]
+    error = corners.reshape(-1, 2) - image.corners_px[ids.ravel()]
     assert np.abs(error.mean(axis=0)).max() < 0.03  # measured .01
     assert np.abs(error).max() < 0.25
 
 
 @pytest.mark.parametrize("border_bits", [1, 2])
 def test_opencvs_tag_detector_reads_the_aprilgrid(border_bits):
-    board, _, picture = _render("aprilgrid:4x3:40mm:0.3", 4, april_border_bits=border_bits)
+    board, _, image = _render("aprilgrid:4x3:40mm:0.3", 4, april_border_bits=border_bits)
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = border_bits
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(picture.image)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image.image)
     assert sorted(ids.ravel()) == list(range(12))
-    truth = picture.corners_px.reshape(-1, 4, 2)
+    truth = image.corners_px.reshape(-1, 4, 2)
     order = {int(tag): place for place, tag in enumerate(board.tag_ids)}
     for tag, found in zip(ids.ravel(), corners, strict=True):
         # OpenCV up to 5.0 takes the lower right corner of a tag36h11 for its first; unrefined, it is 1 to 4 px off
@@ -85,9 +85,9 @@ def test_opencvs_tag_detector_reads_the_aprilgrid(border_bits):
 
 @pytest.mark.parametrize("spec", ["circles:9x7:20mm", "acircles:4x11:10mm"])
 def test_opencvs_circle_finder_sees_the_projected_discs(spec):
-    board, scene, picture = _render(spec, 3)
+    board, scene, image = _render(spec, 3)
     flag = cv2.CALIB_CB_ASYMMETRIC_GRID if board.kind == "acircles" else cv2.CALIB_CB_SYMMETRIC_GRID
-    is_found, found = cv2.findCirclesGrid(picture.image, (board.columns, board.rows), flags=flag)
+    is_found, found = cv2.findCirclesGrid(image.image, (board.columns, board.rows), flags=flag)
     assert is_found
     # what a finder sees is the centroid of the projected disc, not the projected centre, which is the truth
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
@@ -103,7 +103,7 @@ def test_opencvs_circle_finder_sees_the_projected_discs(spec):
     error = found.reshape(-1, 2)[nearest] - centroid
     assert np.abs(error.mean(axis=0)).max() < 0.02
     assert np.abs(error).max() < 0.1
-    assert np.abs(centroid - picture.corners_px).max() < 0.5
+    assert np.abs(centroid - image.corners_px).max() < 0.5
 
 
 def test_levels_noise_gamma_and_depth():
@@ -115,11 +115,11 @@ def test_levels_noise_gamma_and_depth():
     u, v = rig.left.project(T.apply(np.array([[-0.01, -0.01, 0], [0.01, -0.01, 0]]))).round().astype(int).T
     assert light[v, u] == pytest.approx([20, 220], abs=1e-3)  # the first square is black, its neighbour white
     assert light[2, 2] == pytest.approx(100)
-    noisy = render_picture(rig.left, T, CHESS, RenderOptions(**plain, noise_dn=3), rng).image
+    noisy = render_image(rig.left, T, CHESS, RenderOptions(**plain, noise_dn=3), rng).image
     assert noisy[:100].std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
-    encoded = render_picture(rig.left, T, CHESS, RenderOptions(**plain, noise_dn=0, gamma=2.2), rng).image
+    encoded = render_image(rig.left, T, CHESS, RenderOptions(**plain, noise_dn=0, gamma=2.2), rng).image
     assert encoded[2, 2] == round(255 * (100 / 255) ** (1 / 2.2))
-    deep = render_picture(rig.left, T, CHESS, RenderOptions(**plain, noise_dn=0, bit_depth=16), rng).image
+    deep = render_image(rig.left, T, CHESS, RenderOptions(**plain, noise_dn=0, bit_depth=16), rng).image
     assert deep.dtype == np.uint16
     assert deep[2, 2] == 25700
 
@@ -136,7 +136,7 @@ def test_light_falls_along_the_board_and_toward_the_corners():
     assert vignetted[[0, -1, 0, -1], [0, 0, -1, -1]].mean() == pytest.approx(70, abs=0.5)
 
 
-def test_a_board_across_the_picture_edge_looks_like_the_same_board_in_a_larger_picture():
+def test_a_board_across_the_image_edge_looks_like_the_same_board_in_a_larger_image():
     parameters = np.array([800.0, 800, 160, 120, 0, -0.1, 0.05, 0, 0])
     small = Camera("brown4", (320, 240), parameters)
     parameters[2:4] += 100
@@ -156,16 +156,16 @@ def test_a_circular_fisheye_is_black_outside_its_circle():
     rng = np.random.default_rng(0)
     board = parse_board("aprilgrid:6x6:88mm:0.3")
     scene = sample_scene(rig, board, 2, rng, PoseOptions(fill=(0.2, 0.5)))
-    picture = render_picture(camera, scene.T_left_board[1], board, RenderOptions(noise_dn=0), rng)
-    assert not picture.image[[0, 0, -1, -1], [0, -1, 0, -1]].any()
-    assert picture.image[240, 320] > 0
-    assert np.isfinite(picture.corners_px).all()
+    image = render_image(camera, scene.T_left_board[1], board, RenderOptions(noise_dn=0), rng)
+    assert not image.image[[0, 0, -1, -1], [0, -1, 0, -1]].any()
+    assert image.image[240, 320] > 0
+    assert np.isfinite(image.corners_px).all()
 
 
-def test_same_seed_same_picture_and_other_seed_other_clutter():
-    pictures = [_render("chessboard:9x6:30mm", seed)[2].image for seed in (5, 5, 6)]
-    assert np.array_equal(pictures[0], pictures[1])
-    assert np.abs(pictures[0].astype(int) - pictures[2]).mean() > 5
+def test_same_seed_same_image_and_other_seed_other_clutter():
+    images = [_render("chessboard:9x6:30mm", seed)[2].image for seed in (5, 5, 6)]
+    assert np.array_equal(images[0], images[1])
+    assert np.abs(images[0].astype(int) - images[2]).mean() > 5
 
 
 def test_wrong_poses_and_options_are_refused():
@@ -187,11 +187,11 @@ def test_other_camera_models_render_what_a_finder_agrees_with(model):
     rig = random_rig(rng, model, size_wh=(1280, 960))
     board = parse_board("chessboard:7x5:40mm")
     scene = sample_scene(rig, board, 1, rng, PoseOptions(fill=(0.5, 0.6), tilt_deg=(5, 15), margin_px=30))
-    picture = render_picture(rig.right, scene.T_right_board[0], board, RenderOptions(), rng)
-    is_found, corners = cv2.findChessboardCorners(picture.image, (7, 5))
+    image = render_image(rig.right, scene.T_right_board[0], board, RenderOptions(), rng)
+    is_found, corners = cv2.findChessboardCorners(image.image, (7, 5))
     assert is_found
-    corners = cv2.cornerSubPix(picture.image, corners, (5, 5), (-1, -1), (3, 50, 1e-4)).reshape(-1, 2)
-    nearest = np.linalg.norm(corners[:, None] - picture.corners_px, axis=-1).argmin(axis=0)
-    error = corners[nearest] - picture.corners_px
+    corners = cv2.cornerSubPix(image.image, corners, (5, 5), (-1, -1), (3, 50, 1e-4)).reshape(-1, 2)
+    nearest = np.linalg.norm(corners[:, None] - image.corners_px, axis=-1).argmin(axis=0)
+    error = corners[nearest] - image.corners_px
     assert np.abs(error.mean(axis=0)).max() < 0.03
     assert np.abs(error).max() < 0.2

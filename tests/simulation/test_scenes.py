@@ -26,7 +26,7 @@ def _tilt_deg(T_left_board):
 
 
 @pytest.mark.parametrize("model", CAMERA_MODELS)
-def test_whole_pattern_is_in_both_pictures_for_every_camera_model(model):
+def test_whole_pattern_is_in_both_images_for_every_camera_model(model):
     for seed in range(6):
         rng = np.random.default_rng(seed)
         scene = sample_scene(random_rig(rng, model), BOARD, 12, rng)
@@ -41,7 +41,7 @@ def test_whole_pattern_is_in_both_pictures_for_every_camera_model(model):
         assert (scene.T_left_board.R[:, 2, 2] > 0).all()  # seen from the front
 
 
-def test_tilts_and_their_directions_are_spread_and_the_picture_is_covered():
+def test_tilts_and_their_directions_are_spread_and_the_image_is_covered():
     scene = sample_scene(table2_rig(), BOARD, 40, np.random.default_rng(1))
     tilt = _tilt_deg(scene.T_left_board)
     assert tilt.min() >= 10 - 1e-9

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from binocal.boards import parse_board
 from binocal.simulation import PoseOptions, RenderOptions, random_rig, render_light, sample_scene, table2_rig
-from binocal.simulation.optics import blur_kernel, blur_picture
+from binocal.simulation.optics import blur_image, blur_kernel
 
 BLACK, WHITE = 30.0, 210.0
 CHESS, CIRCLES = parse_board("chessboard:9x6:30mm"), parse_board("acircles:4x9:20mm")
@@ -51,7 +51,7 @@ def _integrate(camera, T, board, middle, sigma_px, per_pixel, shading=(0.0, 0.0)
 
 
 def _shift_px(difference, reference):
-    """Shift of the picture, pixels, that explains a difference of grey values best."""
+    """Shift of the image, pixels, that explains a difference of grey values best."""
     g_v, g_u = np.gradient(reference)
     A = np.stack([g_u.ravel(), g_v.ravel(), np.ones(reference.size)], axis=1)
     return -np.linalg.lstsq(A, difference.ravel(), rcond=None)[0][:2]
@@ -59,11 +59,11 @@ def _shift_px(difference, reference):
 
 def _compare(rig, board, T, point, sigma_px, per_pixel, shading=(0.0, 0.0), extent=None):
     options = RenderOptions(blur_px=sigma_px, noise_dn=0, black_dn=BLACK, white_dn=WHITE, clutter_dn=0, shading=shading)
-    picture = render_light(rig.left, T, board, options, np.random.default_rng(0))
+    image = render_light(rig.left, T, board, options, np.random.default_rng(0))
     pixel = rig.left.project(T.apply(point[None]))[0]
     u, v = np.rint(pixel).astype(int)
     reference = _integrate(rig.left, T, board, (u, v), sigma_px, per_pixel, shading, extent)
-    difference = picture[v - HALF : v + HALF + 1, u - HALF : u + HALF + 1] - reference
+    difference = image[v - HALF : v + HALF + 1, u - HALF : u + HALF + 1] - reference
     return np.abs(difference).max(), np.abs(_shift_px(difference, reference)).max()
 
 
@@ -125,12 +125,12 @@ def test_a_fitted_saddle_finds_the_stated_corners(blur_px, tilt_deg):
     rng = np.random.default_rng(4)
     T = sample_scene(rig, CHESS, 1, rng, PoseOptions(tilt_deg=(tilt_deg, tilt_deg), fill=(0.5, 0.6))).T_left_board[0]
     options = RenderOptions(blur_px=blur_px, clutter_dn=0)
-    picture = render_light(rig.left, T, CHESS, options, rng)
+    image = render_light(rig.left, T, CHESS, options, rng)
     errors = []
     for corner in (0, 8, 22, 30, 45, 53):
         truth = rig.left.project(T.apply(CHESS.object_points_m[[corner]]))[0]
         u, v = np.rint(truth).astype(int)
-        found = _fit_saddle(picture[v - 6 : v + 7, u - 6 : u + 7], truth - [u, v] + rng.uniform(-0.3, 0.3, 2))
+        found = _fit_saddle(image[v - 6 : v + 7, u - 6 : u + 7], truth - [u, v] + rng.uniform(-0.3, 0.3, 2))
         errors.append(found - (truth - [u, v]))
     # the model's own limits (curved edges, a box for the pixel) leave up to 7e-4 px; a half-pixel slip would be 0.5
     assert np.abs(errors).max() < 2e-3
@@ -147,7 +147,7 @@ def test_blur_keeps_light_and_place_and_has_the_stated_width():
         ("gaussian", 0.5, (6, -3), (0.25 + 3.0, 0.25 + 0.75)),  # a line's is length² / 12
     ):
         kernel = blur_kernel(blur, kind, motion, least_px=0.14)
-        spread = blur_picture(impulse, kernel, scale=4)
+        spread = blur_image(impulse, kernel, scale=4)
         assert spread.sum() == pytest.approx(1, abs=1e-5)
         assert (spread.sum(axis=0) @ t, spread.sum(axis=1) @ t) == pytest.approx((0, 0), abs=1e-5)
         measured = spread.sum(axis=0) @ t**2, spread.sum(axis=1) @ t**2

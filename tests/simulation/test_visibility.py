@@ -5,7 +5,7 @@ from binocal.cameras import Camera
 from binocal.simulation import table2_rig, visible_px
 
 
-def test_picture_reaches_half_a_pixel_beyond_the_outer_pixel_centres():
+def test_image_reaches_half_a_pixel_beyond_the_outer_pixel_centres():
     camera = Camera("brown4", (100, 80), np.array([100.0, 100, 49.5, 39.5, 0, 0, 0, 0, 0]))
     wanted = np.array([[-0.49, 0], [-0.51, 0], [99.49, 79.49], [99.51, 0], [50, 79.6]])
     points = np.c_[(wanted - [49.5, 39.5]) / 100, np.ones(5)]
@@ -15,7 +15,7 @@ def test_picture_reaches_half_a_pixel_beyond_the_outer_pixel_centres():
     assert np.isnan(visible_px(camera, points, margin_px=1)).all()
 
 
-def test_a_point_that_folds_back_into_the_picture_is_not_seen():
+def test_a_point_that_folds_back_into_the_image_is_not_seen():
     camera = Camera("brown4", (640, 480), np.array([400.0, 400, 320, 240, 0, -0.3, 0, 0, 0]))
     far_out = np.array([[1.8, 0.0, 1.0]])  # factor 1 - 0.3 * 3.24 = 0.03: lands 20 px from the middle
     assert np.abs(camera.project(far_out) - [320, 240]).max() < 25

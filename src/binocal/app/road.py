@@ -1,4 +1,4 @@
-"""The verbs of the road: from pictures to a rig, and what is known of it."""
+"""The verbs of the road: from images to a rig, and what is known of it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the me
 
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """How to calibrate: method, camera model (``auto`` picks), skew, edge-strengthening of the pictures, seed.
+    """How to calibrate: method, camera model (``auto`` picks), skew, edge-strengthening of the images, seed.
 
     With ``max_views`` only the views that tell most about depth are used, at most so many.
     """
@@ -66,7 +66,7 @@ class SimulateOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationRun:
-    """A calibration from pictures: the result, and what became of every file.
+    """A calibration from images: the result, and what became of every file.
 
     ``ignored`` holds (path, reason) of files left out of the pairing; ``notes`` are remarks that need no action.
     """
@@ -90,8 +90,8 @@ class TruthEvaluation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureEvaluation:
-    """A rig on pictures of a board, best on pictures that the calibration has not seen."""
+class ImageEvaluation:
+    """A rig on images of a board, best on images that the calibration has not seen."""
 
     pixel_error: image.PixelError
     row_error: image.RowError | None
@@ -112,7 +112,7 @@ class DemoCase:
     evaluation: TruthEvaluation
 
 
-def calibrate_pictures(
+def calibrate_images(
     left: str,
     right: str,
     board: Board,
@@ -121,16 +121,16 @@ def calibrate_pictures(
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
 ) -> CalibrationRun:
-    """Calibrate from the pictures that two globs or folders name.
+    """Calibrate from the images that two globs or folders name.
 
     Raises:
-        DataError: The pictures cannot be used.
+        DataError: The images cannot be used.
         CalibrationError: No trustworthy rig follows from them.
     """
     options = options or CalibrateOptions()
     started = time.perf_counter()
     with ThreadPoolExecutor(1) as aside:
-        # What the solver needs is loaded while the first pictures are, of which one core is enough.
+        # What the solver needs is loaded while the first images are, of which one core is enough.
         loading = aside.submit(_load_calibrator, options.calibrator)
         found = _detect(left, right, board, options.preprocess, progress, should_stop)
         calibrate = loading.result()
@@ -182,7 +182,7 @@ def calibrate_pictures(
         **choice,
     } | dict(calibration.provenance)
     calibration = replace(calibration, rejected=found.rejected + calibration.rejected, provenance=provenance)
-    elapsed_s = {"pictures": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
+    elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
     return CalibrationRun(calibration, found.ignored, notes, elapsed_s)
 
 
@@ -196,10 +196,10 @@ def simulate(
     force: bool = False,
     progress: Progress | None = None,
 ) -> rig_json.Truth:
-    """Render ``n_pairs`` pictures of a board into ``output``: left_00.png, right_00.png, …, and truth.json.
+    """Render ``n_pairs`` images of a board into ``output``: left_00.png, right_00.png, …, and truth.json.
 
-    The same seed gives the same pictures, whatever the number of threads. ``output`` appears in full or not at all.
-    With ``force``, an earlier simulation's pictures in it are replaced and every other file is left alone.
+    The same seed gives the same images, whatever the number of threads. ``output`` appears in full or not at all.
+    With ``force``, an earlier simulation's images in it are replaced and every other file is left alone.
 
     Raises:
         ValueError: The board has no length unit, or there are no pairs to render.
@@ -212,13 +212,13 @@ def simulate(
         raise ValueError(f"a simulated board needs its size: give the length a unit, such as {board.kind}:…:20mm")
     if n_pairs < 1:
         raise ValueError(f"there is nothing to render: {n_pairs} pairs")
-    pose_seed, picture_seed = np.random.SeedSequence(options.seed).spawn(2)
+    pose_seed, image_seed = np.random.SeedSequence(options.seed).spawn(2)
     T_left_board = sample_board_poses(rig, board, n_pairs, np.random.default_rng(pose_seed))
     width = max(2, len(str(n_pairs - 1)))
     names = tuple(f"{view:0{width}d}" for view in range(n_pairs))
     truth = rig_json.Truth(rig, board, names, T_left_board, options.noise_dn, options.blur_px)
     with staged_folder(output, force=force) as folder:
-        _render(truth, folder, options, picture_seed, progress)
+        _render(truth, folder, options, image_seed, progress)
         rig_json.write_truth(folder / "truth.json", truth)
     return truth
 
@@ -251,7 +251,7 @@ def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, see
     return TruthEvaluation(comparison, noise_px, tuple(notes), criteria)
 
 
-def evaluate_pictures(
+def evaluate_images(
     rig: StereoRig,
     left: str,
     right: str,
@@ -259,11 +259,11 @@ def evaluate_pictures(
     *,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
-) -> PictureEvaluation:
-    """Pixel error, rectified row error and measured lengths of a rig on pictures of a board.
+) -> ImageEvaluation:
+    """Pixel error, rectified row error and measured lengths of a rig on images of a board.
 
     Raises:
-        DataError: The pictures cannot be used, their size is not the rig's, or the board lacks the length it needs.
+        DataError: The images cannot be used, their size is not the rig's, or the board lacks the length it needs.
     """
     if rig.is_metric and not board.is_metric:
         raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
@@ -276,8 +276,8 @@ def evaluate_pictures(
     ):
         if camera.size_wh != size_wh:
             raise DataError(
-                f"the {side} pictures are {size_wh[0]}x{size_wh[1]}, the rig's {side} camera is "
-                f"{camera.size_wh[0]}x{camera.size_wh[1]}; use pictures of the size that was calibrated."
+                f"the {side} images are {size_wh[0]}x{size_wh[1]}, the rig's {side} camera is "
+                f"{camera.size_wh[0]}x{camera.size_wh[1]}; use images of the size that was calibrated."
             )
     if board.is_metric and not rig.is_metric:
         detections = replace(detections, object_points_m=detections.object_points_m / board.pitch_m, is_metric=False)
@@ -289,9 +289,9 @@ def evaluate_pictures(
 def demo(
     output: str | Path, *, seed: int = 0, n_pairs: int = 20, force: bool = False, progress: Progress | None = None
 ) -> tuple[DemoCase, ...]:
-    """Render the table-2 rig with both of the paper's boards, calibrate each from its pictures, compare with the truth.
+    """Render the table-2 rig with both of the paper's boards, calibrate each from its images, compare with the truth.
 
-    ``output`` gets a folder per board with pictures, truth.json and rig.json.
+    ``output`` gets a folder per board with images, truth.json and rig.json.
 
     Raises:
         OutputExistsError: ``output`` holds files and ``force`` is False.
@@ -310,7 +310,7 @@ def demo(
             table2_rig(), board, n_pairs, folder, SimulateOptions(seed=2 * seed + number), force=force, progress=told
         )
         left, right = str(folder / "left_*.png"), str(folder / "right_*.png")
-        run = calibrate_pictures(left, right, board, CalibrateOptions(model="brown4", seed=seed), progress=told)
+        run = calibrate_images(left, right, board, CalibrateOptions(model="brown4", seed=seed), progress=told)
         rig_json.write_calibration(folder / "rig.json", run.calibration, force=force)
         cases.append(DemoCase(name, folder, run, evaluate_truth(run.calibration, truth, seed=seed)))
     return tuple(cases)
@@ -368,7 +368,7 @@ def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """What two sets of pictures gave."""
+    """What two sets of images gave."""
 
     detections: Detections
     rejected: tuple[RejectedView, ...]
@@ -402,7 +402,7 @@ def detect_corners(
     """The corners of all pairs in which the board was found.
 
     Raises:
-        DataError: The pictures cannot be used.
+        DataError: The images cannot be used.
     """
     return _detect(left, right, board, False, progress, should_stop).detections
 
@@ -422,7 +422,7 @@ def _explained(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedVi
 
 def _evaluate_detections(
     rig: StereoRig, detections: Detections, side_m: float, found: _Found, notes: list[str]
-) -> PictureEvaluation:
+) -> ImageEvaluation:
     from binocal.metrics import image
     from binocal.metrics.order import order_corners
 
@@ -435,7 +435,7 @@ def _evaluate_detections(
         if rms_px > SUSPECT_VIEW_FACTOR * usual_px:
             notes.append(
                 f"view {name}: {rms_px:.3g} px against {usual_px:.3g} px in the median view: "
-                "its pictures may not belong together, or its corners are wrong."
+                "its images may not belong together, or its corners are wrong."
             )
     try:
         row_error = image.rectified_row_error(rig, detections)
@@ -443,7 +443,7 @@ def _evaluate_detections(
         row_error = None
         notes.append(f"no row error: {error}")
     lengths = image.length_error(rig, detections, side_m=side_m)
-    return PictureEvaluation(
+    return ImageEvaluation(
         pixel_error, row_error, lengths, detections.names, found.rejected, found.ignored, tuple(notes)
     )
 
@@ -519,7 +519,7 @@ def _render(
     seed: np.random.SeedSequence,
     progress: Progress | None,
 ) -> None:
-    from binocal.simulation import RenderOptions, render_picture
+    from binocal.simulation import RenderOptions, render_image
 
     render_options = RenderOptions(blur_px=options.blur_px, noise_dn=options.noise_dn)
     sides = (
@@ -532,8 +532,8 @@ def _render(
         view, index = job
         side, camera, T_camera_board = sides[index]
         rng = np.random.default_rng(seeds[2 * view + index])
-        picture = render_picture(camera, T_camera_board[view], truth.board, render_options, rng)
-        (folder / f"{side}_{truth.names[view]}.png").write_bytes(encode_png(picture.image))
+        image = render_image(camera, T_camera_board[view], truth.board, render_options, rng)
+        (folder / f"{side}_{truth.names[view]}.png").write_bytes(encode_png(image.image))
 
     jobs = [(view, index) for index in range(2) for view in range(len(truth.names))]
     told = _stage("rendering", progress)

@@ -1,4 +1,4 @@
-"""Training an agent, on simulated rigs or on pictures of a real one."""
+"""Training an agent, on simulated rigs or on images of a real one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TrainOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedAgent:
-    """A run, and with real pictures the calibration of their second half by the agent that the first half trained."""
+    """A run, and with real images the calibration of their second half by the agent that the first half trained."""
 
     run: TrainingRun
     test_half: StereoCalibration | None = None
@@ -68,7 +68,7 @@ def train(
 ) -> TrainedAgent:
     """Train an agent into ``output``; a run that was cut there goes on where it was.
 
-    With ``data``, a folder with left* and right* pictures of a board (or with folders left and right): the first half of the
+    With ``data``, a folder with left* and right* images of a board (or with folders left and right): the first half of the
     pairs trains, with a reward that needs no truth, the second half judges the agent and is calibrated with it (the paper's
     steps 1 and 6). ``board`` may be left out where the folder says which it is, see :func:`board_of_folder`. ``beside`` names
     folders of other runs that the figure shows too: seeds of one kind of targets as a band.
@@ -76,7 +76,7 @@ def train(
     Raises:
         MissingExtraError: PyTorch is not installed.
         OutputExistsError: ``output`` holds other files than a run's, or a complete run, and ``force`` is False.
-        DataError: The pictures cannot be used, the run in ``output`` had other options, or a folder ``beside`` holds no run.
+        DataError: The images cannot be used, the run in ``output`` had other options, or a folder ``beside`` holds no run.
     """
     options = options or TrainOptions()
     try:
@@ -90,14 +90,14 @@ def train(
     chosen, pools, description, exam, test = _training_options(options), None, "", None, None
     if data is not None:
         board = board or board_of_folder(data)
-        left, right = _picture_patterns(Path(data))
+        left, right = _image_patterns(Path(data))
         detections = detect_corners(left, right, board, progress=progress, should_stop=should_stop)
         half = detections.n_views // 2
         if half < MIN_VIEWS_PER_HALF:
             raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_HALF)
         test = detections.select(np.arange(half, detections.n_views))
         chosen, pools, exam = _on_real_views(detections.select(np.arange(half)), test, chosen, options)
-        description = f"{half} pairs of real pictures, {REAL_CASES} cases drawn from them, rewards without truth"
+        description = f"{half} pairs of real images, {REAL_CASES} cases drawn from them, rewards without truth"
     run = run_folder.train_agent(
         run_folder.prepare_folder(Path(output), force=force),
         chosen,
@@ -122,7 +122,7 @@ def train(
 
 
 def board_of_folder(folder: str | Path) -> Board:
-    """The board of a folder of pictures: that of its ``truth.json``, or of the one YAML file that is a board's.
+    """The board of a folder of images: that of its ``truth.json``, or of the one YAML file that is a board's.
 
     Raises:
         DataError: There is none, or more than one.
@@ -135,11 +135,11 @@ def board_of_folder(folder: str | Path) -> Board:
             boards[path.name] = load_board(str(path))
     if len(boards) != 1:
         found = f"more than one ({', '.join(boards)})" if boards else "none"
-        raise DataError(f"{folder}: which board? A YAML file of a board beside the pictures says it; there is {found}.")
+        raise DataError(f"{folder}: which board? A YAML file of a board beside the images says it; there is {found}.")
     return next(iter(boards.values()))
 
 
-def _picture_patterns(folder: Path) -> tuple[str, str]:
+def _image_patterns(folder: Path) -> tuple[str, str]:
     if (folder / "left").is_dir() and (folder / "right").is_dir():
         return str(folder / "left"), str(folder / "right")
     return str(folder / "left*"), str(folder / "right*")
@@ -173,7 +173,7 @@ def _on_real_views(
     tolerance = tolerance_sigma(cases.options.n_views)
     exam = Exam(
         "second half",
-        "cases drawn from the pictures of the second half",
+        "cases drawn from the images of the second half",
         others,
         sample_starts(others, rng),
         practice,

@@ -1,10 +1,10 @@
-"""Corners in rendered pictures: errors of binocal and of OpenCV over what the pictures allow at best.
+"""Corners in rendered images: errors of binocal and of OpenCV over what the images allow at best.
 
 The bound of a corner is the inverse Fisher information of a nine-parameter saddle (position, two edge angles, blur,
 offset, contrast, two additive slopes of the grey value) over the pixels of the disc that binocal's fit takes (0.85 of
 the way to the next edge, 3 to 14 px), at the true corner, for the pixel noise that was rendered, rounding included.
 Everyone starts from the truth within a pixel, so that only refinement is compared; findChessboardCornersSB finds its
-own. Pictures differ by seed in pose, size and place of the board.
+own. Images differ by seed in pose, size and place of the board.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from binocal.cameras import Camera
 from binocal.detection.corner_fit import fit_corners
 from binocal.geometry import SE3
 from binocal.geometry.so3 import exp
-from binocal.simulation import RenderOptions, render_picture
+from binocal.simulation import RenderOptions, render_image
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -38,7 +38,7 @@ _MIN_RADIUS_PX, _MAX_RADIUS_PX, _PER_REACH = 3.0, 14.0, 0.85
 
 @dataclass(frozen=True, slots=True)
 class _Case:
-    """One row of the table: how the pictures are rendered, and whether they pass through JPEG."""
+    """One row of the table: how the images are rendered, and whether they pass through JPEG."""
 
     name: str
     options: dict[str, Any]
@@ -52,7 +52,7 @@ class _Tally:
     errors_px: list[ndarray] = field(default_factory=list)
     whitened: list[ndarray] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
-    ratio_by_picture: list[float] = field(default_factory=list)
+    ratio_by_image: list[float] = field(default_factory=list)
     n_failed: int = 0
 
 
@@ -74,7 +74,7 @@ def _cases(blurs_px: tuple[float, ...], noises_dn: tuple[float, ...]) -> list[_C
 
 
 def _shoot(case: _Case, seed: int) -> tuple[ndarray, Float[ndarray, "n 2"], Float[ndarray, "n 2"]]:
-    """A picture, its true corners (NaN outside) and starts beside them."""
+    """An image, its true corners (NaN outside) and starts beside them."""
     import cv2
 
     rng = np.random.default_rng(seed)
@@ -86,12 +86,12 @@ def _shoot(case: _Case, seed: int) -> tuple[ndarray, Float[ndarray, "n 2"], Floa
     R = exp(tilt * np.array([np.cos(way), np.sin(way), 0.0])) @ exp(np.array([0.0, 0.0, roll]))
     distance = extent * rng.uniform(1.4, 3.5)
     place = np.r_[rng.uniform(-0.12, 0.12, 2) * (distance - extent), distance]
-    picture = render_picture(camera, SE3(R, place - R @ points.mean(axis=0)), board, RenderOptions(**case.options), rng)
-    image = picture.image
+    rendered = render_image(camera, SE3(R, place - R @ points.mean(axis=0)), board, RenderOptions(**case.options), rng)
+    image = rendered.image
     if case.is_jpeg:
         image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], cv2.IMREAD_GRAYSCALE)
-    start = picture.corners_px + rng.uniform(-MAX_START_PX, MAX_START_PX, picture.corners_px.shape)
-    return image, picture.corners_px, start
+    start = rendered.corners_px + rng.uniform(-MAX_START_PX, MAX_START_PX, rendered.corners_px.shape)
+    return image, rendered.corners_px, start
 
 
 def _edges(corners: Float[ndarray, "n 2"]) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"]]:
@@ -152,7 +152,7 @@ def corner_bound(
 
 
 def _levels(case: _Case) -> tuple[float, float, float]:
-    """Effective blur (px, pixel integration included), contrast and noise (grey levels of 8 bit) of a case's pictures."""
+    """Effective blur (px, pixel integration included), contrast and noise (grey levels of 8 bit) of a case's images."""
     options = case.options
     blur2 = options["blur_px"] ** 2 / 4 if options.get("blur_kind") == "disc" else options["blur_px"] ** 2
     motion = options.get("motion_px", (0.0, 0.0))
@@ -227,14 +227,14 @@ def _run_case(case: _Case, seeds: range) -> dict[str, _Tally]:
 def _score(
     tally: _Tally, error: ndarray, covariance: ndarray | None, bound: Float[ndarray, "n 2 2"], usable: ndarray
 ) -> None:
-    """Add a picture's errors, relative to the bound's root mean square over the same corners."""
+    """Add an image's errors, relative to the bound's root mean square over the same corners."""
     good = usable & (np.nan_to_num(np.linalg.norm(error, axis=1), nan=np.inf) < OUTLIER_PX)
     tally.n_failed += int((usable & ~good).sum())
     if not good.any():
         return
     tally.errors_px.append(error[good])
     best2 = np.trace(bound[good], axis1=1, axis2=2)
-    tally.ratio_by_picture.append(float(np.sqrt(np.mean((error[good] ** 2).sum(axis=1) / best2))))
+    tally.ratio_by_image.append(float(np.sqrt(np.mean((error[good] ** 2).sum(axis=1) / best2))))
     if covariance is not None:
         root = np.linalg.cholesky(covariance[good])
         tally.whitened.append(np.linalg.solve(root, error[good][..., None])[..., 0].ravel())
@@ -244,10 +244,10 @@ def run_corners_benchmark(
     *,
     blurs_px: tuple[float, ...] = BLURS_PX,
     noises_dn: tuple[float, ...] = NOISES_DN,
-    pictures: int = 6,
+    images: int = 6,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Errors over the bound, bias, coverage of the stated covariance and time per picture, for every case and method.
+    """Errors over the bound, bias, coverage of the stated covariance and time per image, for every case and method.
 
     OpenCV's finder SB is timed with its search, the refinements without.
     """
@@ -256,7 +256,7 @@ def run_corners_benchmark(
     rows = []
     for case in _cases(blurs_px, noises_dn):
         row: dict[str, Any] = {"case": case.name}
-        for name, tally in _run_case(case, range(seed, seed + pictures)).items():
+        for name, tally in _run_case(case, range(seed, seed + images)).items():
             row[name] = _summary(tally)
         rows.append(row)
     machine = (
@@ -266,18 +266,18 @@ def run_corners_benchmark(
         "benchmark": "corners",
         "board": BOARD,
         "image_size": list(SIZE_WH),
-        "pictures": pictures,
+        "images": images,
         "seed": seed,
         "machine": machine,
         "rows": rows,
-        "text": _format(rows, machine, pictures),
+        "text": _format(rows, machine, images),
     }
 
 
 def _summary(tally: _Tally) -> dict[str, Any] | None:
     if not tally.errors_px:
         return {"n_failed": tally.n_failed, "median_ms": 1e3 * float(np.median(tally.times_s))}
-    errors, ratios = np.concatenate(tally.errors_px), np.array(tally.ratio_by_picture)
+    errors, ratios = np.concatenate(tally.errors_px), np.array(tally.ratio_by_image)
     summary: dict[str, Any] = {
         "over_bound": float(np.sqrt(np.mean(ratios**2))),
         "over_bound_range": [float(ratios.min()), float(ratios.max())],
@@ -294,7 +294,7 @@ def _summary(tally: _Tally) -> dict[str, Any] | None:
     return summary
 
 
-def _format(rows: list[dict[str, Any]], machine: str, pictures: int) -> str:
+def _format(rows: list[dict[str, Any]], machine: str, images: int) -> str:
     def ratio(entry: dict[str, Any]) -> str:
         if "over_bound" not in entry:
             return "none found"
@@ -304,8 +304,8 @@ def _format(rows: list[dict[str, Any]], machine: str, pictures: int) -> str:
 
     names = ("binocal", "cornerSubPix", "SB", "SB accurate")
     lines = [
-        f"corner error over the image-level bound, {BOARD}, {SIZE_WH[0]}x{SIZE_WH[1]}, {pictures} pictures a row ({machine})",
-        "rms (worst and best picture) -corners failed; bias: mean error and its standard error, px; 1 and 2 sigma: share within what is stated",
+        f"corner error over the image-level bound, {BOARD}, {SIZE_WH[0]}x{SIZE_WH[1]}, {images} images a row ({machine})",
+        "rms (worst and best image) -corners failed; bias: mean error and its standard error, px; 1 and 2 sigma: share within what is stated",
         "",
         f"{'case':<20}" + "".join(f"{name:>28}" for name in names) + f"{'bias':>27}{'1, 2 sigma':>14}{'ms':>22}",
     ]

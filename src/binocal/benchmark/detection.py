@@ -1,8 +1,8 @@
-"""Rendered pictures with and without a board: found, missed, wrong, and the time that either takes.
+"""Rendered images with and without a board: found, missed, wrong, and the time that either takes.
 
-A picture shows one chessboard of random size, place and tilt before clutter, blurred, noisy and partly in shadow, with the
+An image shows one chessboard of random size, place and tilt before clutter, blurred, noisy and partly in shadow, with the
 short side of every square at least ``LEAST_SIDE_PX`` and ``LEAST_SIDE_PER_BLUR`` times the blur; or the clutter alone.
-Every picture is drawn from its own seed. OpenCV's finders see each ``peer_every``-th picture.
+Every image is drawn from its own seed. OpenCV's finders see each ``peer_every``-th image.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
 BOARDS = ("chessboard:11x8:20mm", "chessboard:9x6:20mm", "chessboard:8x5:20mm", "chessboard:7x7:20mm")
 SIZE_WH = (1280, 960)
 SHARE_WITHOUT_BOARD = 0.1
-WIDTH_SHARE = (0.15, 0.95)  # of the picture's, taken by the printed squares
+WIDTH_SHARE = (0.15, 0.95)  # of the image's, taken by the printed squares
 MAX_TILT_RAD = np.radians(60)
 MAX_ROLL_RAD = np.radians(45)
 LEAST_SIDE_PX = 8.0
 LEAST_SIDE_PER_BLUR = 4.0
 BLURS_PX = (0.4, 4.0)
 NOISES_DN = (0.5, 8.0)
-BESIDE_THE_PICTURE = SE3(np.eye(3), np.array([1000.0, 0.0, 1.0]))
+BESIDE_THE_IMAGE = SE3(np.eye(3), np.array([1000.0, 0.0, 1.0]))
 MAX_ERROR_PER_SIDE = 0.25  # a corner farther from its place, in short sides of the squares, makes a grid wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionScene:
-    """A picture, its board (the one asked for, where there is none) and the true corners, None without a board."""
+    """An image, its board (the one asked for, where there is none) and the true corners, None without a board."""
 
     image: UInt8[ndarray, "h w"]
     board: Board
@@ -55,7 +55,7 @@ class DetectionScene:
 
 @dataclass(slots=True)
 class _Tally:
-    """What one finder made of the pictures."""
+    """What one finder made of the images."""
 
     n_boards: int = 0
     n_found: int = 0
@@ -66,7 +66,7 @@ class _Tally:
 
 
 def draw_detection_scene(seed: int, index: int) -> DetectionScene:
-    """The ``index``-th picture of a ``seed``."""
+    """The ``index``-th image of a ``seed``."""
     rng = np.random.default_rng([seed, index])
     board = parse_board(BOARDS[rng.integers(len(BOARDS))])
     width, height = SIZE_WH
@@ -85,7 +85,7 @@ def draw_detection_scene(seed: int, index: int) -> DetectionScene:
         blur_px = min(blur_px, short / LEAST_SIDE_PER_BLUR)
         text = f"{share:.0%} wide, tilt {np.degrees(tilt_rad):.0f} deg, side {short:.1f}, "
     else:
-        T_camera_board, text = BESIDE_THE_PICTURE, "no board, "
+        T_camera_board, text = BESIDE_THE_IMAGE, "no board, "
     render = RenderOptions(blur_px=blur_px, shading=tuple(rng.uniform(-0.3, 0.3, 2)), **options)
     light = render_light(camera, T_camera_board, board, render, rng)
     shadow, shade = _draw_shadow(rng)
@@ -96,7 +96,7 @@ def draw_detection_scene(seed: int, index: int) -> DetectionScene:
 
 
 def _draw_pose(camera: Camera, board: Board, rng: np.random.Generator) -> tuple[SE3, float, float]:
-    """A pose, the share of the picture's width that it takes when seen from the front, and its tilt."""
+    """A pose, the share of the image's width that it takes when seen from the front, and its tilt."""
     x0, y0, x1, y1 = printed_extent_m(board)
     share = rng.uniform(*WIDTH_SHARE)
     tilt, way, roll = rng.uniform(0, MAX_TILT_RAD), rng.uniform(0, 2 * np.pi), rng.uniform(-1, 1) * MAX_ROLL_RAD
@@ -108,7 +108,7 @@ def _draw_pose(camera: Camera, board: Board, rng: np.random.Generator) -> tuple[
 
 
 def _true_corners(camera: Camera, T_camera_board: SE3, board: Board) -> tuple[Float[ndarray, "n 2"] | None, float]:
-    """The corners and the shortest side of a square; None where the print leaves the picture or is too small."""
+    """The corners and the shortest side of a square; None where the print leaves the image or is too small."""
     x0, y0, x1, y1 = printed_extent_m(board)
     outline = T_camera_board.apply(np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]))
     if outline[:, 2].min() < 0.05 or not T_camera_board.inverse().t[2] < 0:
@@ -167,10 +167,10 @@ def _finders() -> dict[str, Callable[[UInt8[ndarray, "h w"], Board], ndarray | N
     return {"binocal": own, "OpenCV": legacy, "OpenCV SB": sector}
 
 
-def run_detection_benchmark(*, pictures: int = 500, peer_every: int = 10, seed: int = 0) -> dict[str, Any]:
+def run_detection_benchmark(*, images: int = 500, peer_every: int = 10, seed: int = 0) -> dict[str, Any]:
     """Boards found, missed and wrong, and CPU time on one core with and without a board, for each finder.
 
-    ``missed`` and ``wrong`` name pictures as seed/index with how they were drawn. OpenCV's order of corners is not
+    ``missed`` and ``wrong`` name images as seed/index with how they were drawn. OpenCV's order of corners is not
     held against it: its corners may come from either end.
     """
     import cv2
@@ -180,7 +180,7 @@ def run_detection_benchmark(*, pictures: int = 500, peer_every: int = 10, seed: 
     own_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        for index in range(pictures):
+        for index in range(images):
             scene = draw_detection_scene(seed, index)
             for name, finder in finders.items():
                 if name == "binocal" or index % peer_every == 0:
@@ -189,10 +189,10 @@ def run_detection_benchmark(*, pictures: int = 500, peer_every: int = 10, seed: 
         cv2.setNumThreads(own_threads)
     rows = [_row(name, tally) for name, tally in tallies.items()]
     machine = f"{platform.machine()}, Python {platform.python_version()}, OpenCV {cv2.__version__}"
-    text = _format(rows, pictures, seed, machine)
+    text = _format(rows, images, seed, machine)
     return {
         "benchmark": "detection",
-        "pictures": pictures,
+        "images": images,
         "seed": seed,
         "machine": machine,
         "rows": rows,
@@ -229,12 +229,12 @@ def _row(name: str, tally: _Tally) -> dict[str, Any]:
     return row
 
 
-def _format(rows: list[dict[str, Any]], pictures: int, seed: int, machine: str) -> str:
+def _format(rows: list[dict[str, Any]], images: int, seed: int, machine: str) -> str:
     def spread(times: dict[str, float] | None) -> str:
         return "{median:.1f} {p95:.1f} {max:.1f}".format(**times) if times else "-"
 
     lines = [
-        f"{pictures} rendered pictures {SIZE_WH[0]}x{SIZE_WH[1]}, seed {seed} ({machine}); CPU ms: median, 95 %, most",
+        f"{images} rendered images {SIZE_WH[0]}x{SIZE_WH[1]}, seed {seed} ({machine}); CPU ms: median, 95 %, most",
         f"{'finder':>10} {'boards':>7} {'found':>7} {'missed':>7} {'wrong':>6} {'board, ms':>20} {'no board, ms':>20}",
     ]
     for row in rows:

@@ -1,4 +1,4 @@
-"""What the benchmarks compare with: OpenCV's fast road from a picture to the rig, given what it does best.
+"""What the benchmarks compare with: OpenCV's fast road from an image to the rig, given what it does best.
 
 The classic chessboard finder and ``cornerSubPix``; five distortion coefficients; exact board, no outliers. Intrinsics
 are refined jointly, or held as most tutorials do.
@@ -42,7 +42,7 @@ def pair_corners(corners: Sequence[ndarray | None]) -> tuple[list[ndarray], list
 
 
 def _same_way(left: ndarray, right: ndarray) -> ndarray:
-    """The right corners in the left ones' order, where the finder numbered the two pictures from opposite ends."""
+    """The right corners in the left ones' order, where the finder numbered the two images from opposite ends."""
     way_left, way_right = left[-1, 0] - left[0, 0], right[-1, 0] - right[0, 0]
     return right if float(way_left @ way_right) > 0 else right[::-1].copy()
 

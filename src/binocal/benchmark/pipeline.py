@@ -1,7 +1,7 @@
 """PNG pairs to the rig with two threads: binocal, OpenCV's road, and the decoding of the files alone.
 
 OpenCV is given what it does best among its fast ways: the classic chessboard finder, ``cornerSubPix``, one calibration
-per camera and the joint stereo solve with five coefficients, its pictures read and searched by as many threads as
+per camera and the joint stereo solve with five coefficients, its images read and searched by as many threads as
 binocal's. Everything is timed in turn in each round, so that what else the machine does strikes all alike.
 """
 
@@ -25,7 +25,7 @@ from binocal.benchmark.scenes import render_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import StereoRig
-from binocal.datasets.folder import PicturePair
+from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
 from binocal.geometry import so3
 
@@ -95,16 +95,16 @@ def run_pipeline_benchmark(*, pairs: int = 100, rounds: int = 3, seed: int = 0) 
 StereoRigLike = tuple[np.ndarray, np.ndarray] | None
 
 
-def _decode(listed: Sequence[PicturePair]) -> None:
+def _decode(listed: Sequence[ImagePair]) -> None:
     import cv2
 
     paths = [str(path) for pair in listed for path in (pair.left_path, pair.right_path)]
     with ThreadPoolExecutor(N_THREADS) as pool:
-        if any(picture is None for picture in pool.map(lambda path: cv2.imread(path, cv2.IMREAD_UNCHANGED), paths)):
-            raise RuntimeError("a rendered picture could not be decoded")
+        if any(image is None for image in pool.map(lambda path: cv2.imread(path, cv2.IMREAD_UNCHANGED), paths)):
+            raise RuntimeError("a rendered image could not be decoded")
 
 
-def _run_binocal(listed: Sequence[PicturePair]) -> StereoRigLike:
+def _run_binocal(listed: Sequence[ImagePair]) -> StereoRigLike:
     found = detect_pairs(listed, parse_board(BOARD), n_threads=N_THREADS)
     T = calibrate(found.detections, calibrator="lm", model=MODEL).rig.T_right_left
     return T.R, T.t
@@ -125,7 +125,7 @@ def _run_process(folder: Path) -> StereoRigLike:
     return T.R, T.t
 
 
-def _run_opencv(listed: Sequence[PicturePair]) -> StereoRigLike:
+def _run_opencv(listed: Sequence[ImagePair]) -> StereoRigLike:
     import cv2
 
     board = parse_board(BOARD)

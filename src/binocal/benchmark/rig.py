@@ -1,4 +1,4 @@
-"""Pictures to the rig: errors against the truth, binocal beside OpenCV's joint solve and the tutorials' road.
+"""Images to the rig: errors against the truth, binocal beside OpenCV's joint solve and the tutorials' road.
 
 Rendered pairs of the paper's rig (table 2), blur 0.8 px, noise 3 grey levels; every method finds its own corners in the
 same files. OpenCV fits its five distortion coefficients, binocal the same ones, and what it does unasked: the model that
@@ -20,7 +20,7 @@ from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_co
 from binocal.benchmark.scenes import render_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
-from binocal.datasets.folder import PicturePair
+from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
 from binocal.evidence import Detections
 from binocal.geometry import so3
@@ -56,7 +56,7 @@ def run_rig_benchmark(*, pairs: int = 20, sets: int = 24, seed: int = 0) -> dict
     }
 
 
-def _estimates(listed: list[PicturePair], size_wh: tuple[int, int]) -> dict[str, Pose]:
+def _estimates(listed: list[ImagePair], size_wh: tuple[int, int]) -> dict[str, Pose]:
     """R and t of each method."""
     import cv2
 

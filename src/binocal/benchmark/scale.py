@@ -1,6 +1,6 @@
-"""Time and peak memory against the number of pairs: pictures to corners, and corners to a rig with ``--max-views``.
+"""Time and peak memory against the number of pairs: images to corners, and corners to a rig with ``--max-views``.
 
-Every row runs in a process of its own, so that its peak memory is its own. Pictures of a long recording are a few
+Every row runs in a process of its own, so that its peak memory is its own. Images of a long recording are a few
 rendered pairs over and over: finding corners does not know it, and nothing is held between them. OpenCV's road on all
 corners is timed in the same rows as far as its cubic growth allows.
 """
@@ -22,7 +22,7 @@ from binocal.benchmark.solver import scene
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.calibrators.view_selection import select_views
-from binocal.datasets.folder import PicturePair
+from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
 from binocal.geometry import so3
 
@@ -36,7 +36,7 @@ N_THREADS = 2
 
 def run_scale_benchmark(
     *,
-    picture_pairs: tuple[int, ...] = (25, 50, 100, 200),
+    image_pairs: tuple[int, ...] = (25, 50, 100, 200),
     corner_pairs: tuple[int, ...] = (100, 300, 1000, 3000, 10_000),
     seed: int = 0,
 ) -> dict[str, Any]:
@@ -44,12 +44,12 @@ def run_scale_benchmark(
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="binocal-bench-") as folder:
         _, pairs = render_pairs(Path(folder), RENDERED_PAIRS, BOARD, SIZE_WH, seed)
-        for n in picture_pairs:
+        for n in image_pairs:
             repeated = [
-                PicturePair(f"{i:05d}", pairs[i % len(pairs)].left_path, pairs[i % len(pairs)].right_path)
+                ImagePair(f"{i:05d}", pairs[i % len(pairs)].left_path, pairs[i % len(pairs)].right_path)
                 for i in range(n)
             ]
-            rows.append({"stage": "pictures", "pairs": n} | run_alone(_find_corners, repeated))
+            rows.append({"stage": "images", "pairs": n} | run_alone(_find_corners, repeated))
     for n in corner_pairs:
         rows.append({"stage": "corners", "pairs": n} | run_alone(_choose_and_solve, n, seed))
         if n <= PEER_LIMIT_PAIRS:
@@ -65,7 +65,7 @@ def run_scale_benchmark(
     }
 
 
-def _find_corners(pairs: list[PicturePair]) -> dict[str, Any]:
+def _find_corners(pairs: list[ImagePair]) -> dict[str, Any]:
     start = time.perf_counter()
     found = detect_pairs(pairs, parse_board(BOARD), n_threads=N_THREADS)
     return {"s": time.perf_counter() - start, "n_views": found.detections.n_views}

@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
-CLEAN_PICTURE_OUTLIER_SHARE = 0.05  # of one picture: four corners of 88
-CLEAN_RATIO = 2.0  # RMS of the worst picture over the median one's; noise alone reaches 1.3 at 88 corners, 1.7 at 12
+CLEAN_IMAGE_OUTLIER_SHARE = 0.05  # of one image: four corners of 88
+CLEAN_RATIO = 2.0  # RMS of the worst image over the median one's; noise alone reaches 1.3 at 88 corners, 1.7 at 12
 CLEAN_HOMOGRAPHY_RATIO = 1.2  # over what free homographies leave, lens and all
-CLEAN_NOISE_SHARE = 0.01  # corner noise over corner spacing: half of what small real pictures reach
+CLEAN_NOISE_SHARE = 0.01  # corner noise over corner spacing: half of what small real images reach
 CLEAN_SPACING_VIEWS = 4  # tell the spacing to a tenth, which is all that this doubt needs
-CLEAN_CENTRE_SHARE = 0.08  # of the picture's size; lenses sit within 0.1
+CLEAN_CENTRE_SHARE = 0.08  # of the image's size; lenses sit within 0.1
 CLEAN_FOCAL_SIGMA_SHARE = 0.005  # the scene's geometry is then beyond question: weak sets start at 0.01
 CLEAN_BASELINE_SIGMA_SHARE = 0.02
 MISFIT_ROUNDS = 3  # the second usually finds nothing to change
@@ -112,7 +112,7 @@ def _calibrate_clean(
 ) -> StereoCalibration | None:
     """The calibration of views in which nothing is wrong, or None where that is not proven.
 
-    Verification is cheaper than diagnosis: a rig that fits every picture as well as a homography of the picture's own,
+    Verification is cheaper than diagnosis: a rig that fits every image as well as a homography of the image's own,
     gives every corner weight, and is well determined leaves nothing to repair, to reject or to warn of. Any doubt, and
     the long way decides and names the culprit.
     """
@@ -150,11 +150,11 @@ def _calibrate_clean(
 
 
 def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float) -> bool:
-    """Whether every picture fits alike, and all of them as well as homographies of their own."""
+    """Whether every image fits alike, and all of them as well as homographies of their own."""
     used = inliers(problem, minimum)
     n_seen = np.concatenate([camera.is_seen.sum(axis=1) for camera in problem.cameras])
     n_used = np.concatenate([is_used.sum(axis=1) for is_used in used])
-    if (n_used < (1 - CLEAN_PICTURE_OUTLIER_SHARE) * n_seen).any():
+    if (n_used < (1 - CLEAN_IMAGE_OUTLIER_SHARE) * n_seen).any():
         return False
     whitened2 = _sums(tuple(e.r2_px2 for e in minimum.equations.cameras), used)
     plain2 = _sums(plain_lengths2(problem, minimum), used) if problem.is_whitened else whitened2
@@ -164,8 +164,8 @@ def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float)
     return bool(even and rms_px < CLEAN_HOMOGRAPHY_RATIO * homography_px + robust.SCALE_FLOOR_PX)
 
 
-def _sums(lengths2: tuple[ndarray, ...], used: tuple[ndarray, ...]) -> Float[ndarray, "pictures"]:
-    """Sum over the used corners of every picture."""
+def _sums(lengths2: tuple[ndarray, ...], used: tuple[ndarray, ...]) -> Float[ndarray, "images"]:
+    """Sum over the used corners of every image."""
     return np.concatenate([np.where(u, px2, 0.0).sum(axis=1) for px2, u in zip(lengths2, used, strict=True)])
 
 
@@ -275,7 +275,7 @@ def _misfits(views: Detections, problem: BundleProblem, minimum: Minimum) -> dic
             typical_px = float(np.sqrt(np.median(px2[i][camera.is_seen[i]])))
             bad[int(i)] = (
                 f"{n_seen[i] - n_used[i]} of {n_seen[i]} {side} corners contradict the other views "
-                f"(typically {typical_px:.1f} px off); check the corner order and that both pictures were taken together"
+                f"(typically {typical_px:.1f} px off); check the corner order and that both images were taken together"
             )
     return bad
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MAX_NOISE_SHARE = 0.08
 """Corner noise over corner spacing.
 
-Real pictures reach 0.02 (270x180); a wrong corner order or board leaves 0.3 and more.
+Real images reach 0.02 (270x180); a wrong corner order or board leaves 0.3 and more.
 """
 MAX_FOCAL_SIGMA_SHARE = 0.05
 """Relative standard deviation of a focal length.
@@ -43,13 +43,13 @@ MAX_SPACING_VIEWS = 12  # evenly chosen; the median spacing of eight real sets i
 MAX_OUTLIER_SHARE = 0.3  # a robust fit that drops more than this has chosen one story among several
 
 MAX_CENTRE_OFFSET_SHARE = 0.25
-"""Distance of a principal point from the picture's middle over the picture's size. Lenses sit within 0.1, KITTI's crops within 0.05; a fit
-to boards that stay in one part of the picture, at one tilt, runs off to 0.3 and more."""
+"""Distance of a principal point from the image's middle over the image's size. Lenses sit within 0.1, KITTI's crops within 0.05; a fit
+to boards that stay in one part of the image, at one tilt, runs off to 0.3 and more."""
 CENTRE_OFFSET_SIGNIFICANCE = 5.0  # standard deviations; a poorly known principal point is not thereby a wrong one
 
 SHORT_OF_MIDDLE_SHARE = 0.04
 LEAST_SHORT_OF_MIDDLE_SHARE = 0.02
-"""Both principal points this far short of the middle along an axis, on average and each: lenses scatter by 1.5 % either way, a picture size
+"""Both principal points this far short of the middle along an axis, on average and each: lenses scatter by 1.5 % either way, an image size
 stated 12 % too large moves both by 5.5 % the same way."""
 
 _ADD_TILTS = "add views with the board tilted 20-45 deg about both axes, at different distances"
@@ -59,7 +59,7 @@ def judged(calibration: StereoCalibration, *, is_converged: bool) -> StereoCalib
     """The calibration with the warnings of this room put first.
 
     Raises:
-        InconsistentViewsError: The corners cannot be pictures of this board.
+        InconsistentViewsError: The corners cannot be images of this board.
         DegenerateGeometryError: The views do not determine the rig.
         NotConvergedError: The solver did not reach a minimum.
     """
@@ -75,14 +75,14 @@ def judged(calibration: StereoCalibration, *, is_converged: bool) -> StereoCalib
 
 
 def check_fit(calibration: StereoCalibration) -> None:
-    """Raises InconsistentViewsError where the corners cannot be pictures of this board."""
+    """Raises InconsistentViewsError where the corners cannot be images of this board."""
     if calibration.evidence is None:
         return
     spacing_px = corner_spacing_px(calibration.evidence.detections)
     if calibration.noise_px > MAX_NOISE_SHARE * spacing_px:
         raise InconsistentViewsError(
             f"the corners do not fit the board: residuals of {calibration.noise_px:.2f} px where corners are "
-            f"{spacing_px:.1f} px apart; check the board's columns, rows and corner order, and that left and right pictures "
+            f"{spacing_px:.1f} px apart; check the board's columns, rows and corner order, and that left and right images "
             "were taken together.",
             describe_views(calibration),
         )
@@ -124,15 +124,15 @@ def check_observability(calibration: StereoCalibration) -> tuple[str, ...]:
         if np.any((offset > MAX_CENTRE_OFFSET_SHARE * size) & (offset > CENTRE_OFFSET_SIGNIFICANCE * sigma_centre)):
             raise DegenerateGeometryError(
                 f"the {side} principal point ({centre[0]:.0f}, {centre[1]:.0f}) comes out far from the middle of the "
-                f"{size[0]}x{size[1]} picture, which no lens does: the boards say too little about the camera, or the "
-                f"pictures are cropped; move the board over the whole picture and {_ADD_TILTS}.",
+                f"{size[0]}x{size[1]} image, which no lens does: the boards say too little about the camera, or the "
+                f"images are cropped; move the board over the whole image and {_ADD_TILTS}.",
                 describe_views(calibration),
             )
     sigma_deg = float(np.degrees(max(sigma[f"rotation.{axis}"] for axis in "xyz")))
     if sigma_deg > MAX_ROTATION_SIGMA_DEG:
         raise DegenerateGeometryError(
             "the views do not determine the rotation between the cameras (standard deviation "
-            f"{sigma_deg:.1f} deg); move the board over the whole of both pictures and {_ADD_TILTS}.",
+            f"{sigma_deg:.1f} deg); move the board over the whole of both images and {_ADD_TILTS}.",
             describe_views(calibration),
         )
     sigma_t = float(np.sqrt(sum(sigma[f"translation.{axis}"] ** 2 for axis in "xyz")))
@@ -147,7 +147,7 @@ def check_observability(calibration: StereoCalibration) -> tuple[str, ...]:
 
 
 def size_warnings(calibration: StereoCalibration) -> tuple[str, ...]:
-    """A sentence where the stated pictures look larger than those in which the corners were measured.
+    """A sentence where the stated images look larger than those in which the corners were measured.
 
     Along an axis both principal points lie short of the middle, and no corner lies beyond the size that would put them there.
     """
@@ -167,7 +167,7 @@ def size_warnings(calibration: StereoCalibration) -> tuple[str, ...]:
         return ()
     width, height = np.where(is_suspect, implied.mean(axis=0), sizes[0])
     return (
-        f"both principal points lie short of the middle of the {sizes[0, 0]:.0f}x{sizes[0, 1]:.0f} pictures and no corner "
+        f"both principal points lie short of the middle of the {sizes[0, 0]:.0f}x{sizes[0, 1]:.0f} images and no corner "
         f"lies beyond: check the image size, about {width:.0f}x{height:.0f} would fit.",
     )
 
@@ -187,7 +187,7 @@ def describe_views(calibration: StereoCalibration) -> dict[str, str]:
         if len(seen):
             share = np.ptp(seen, axis=0) / (width, height)
             x, y = seen.mean(axis=0)
-            place = f", {100 * share[0]:.0f} % x {100 * share[1]:.0f} % of the left picture around ({x:.0f}, {y:.0f})"
+            place = f", {100 * share[0]:.0f} % x {100 * share[1]:.0f} % of the left image around ({x:.0f}, {y:.0f})"
         described[view.name] = (
             f"not used, the set is refused: board tilted {tilt_deg[index]:.0f} deg{place}, residual {view.rms_px:.2f} px"
         )
@@ -209,7 +209,7 @@ def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
 
 
 def corner_spacing_px(detections: Detections, most_views: int = MAX_SPACING_VIEWS) -> float:
-    """Median distance in the pictures of corners that are neighbours on the board; NaN where none are seen."""
+    """Median distance in the images of corners that are neighbours on the board; NaN where none are seen."""
     points = detections.object_points_m
     half = 0.5 * np.square(points).sum(axis=1)
     distance2 = half - points @ points.T  # half of it, short of a constant for each row

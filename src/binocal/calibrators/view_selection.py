@@ -39,7 +39,7 @@ PILOT_VIEWS = 40  # spread over the recording; enough for a rig whose error does
 CHUNK_VIEWS = 256  # views linearised at a time: bounds the memory
 SHORTLIST = 12  # views compared exactly in each round, the best by their gradient
 MISFIT_FACTOR = 4.0  # a view whose RMS is that many times the usual one is not worth its information
-FIELD = (0.15, 0.5, 0.85)  # where depth is judged: shares of the left picture's width and height
+FIELD = (0.15, 0.5, 0.85)  # where depth is judged: shares of the left image's width and height
 DISTANCES = (0.6, 1.0, 2.0)  # at these multiples of the median distance of the boards
 
 
@@ -146,7 +146,7 @@ def choose_greedily(
 def depth_target(rig: StereoRig, distance_m: float, *, skew: bool = False) -> Float[ndarray, "s s"]:
     """Mean of g g^T, g the derivative of relative depth by the shared parameters in the solver's order.
 
-    Taken over points across the left picture at several distances that both cameras see; the points' pixels are held,
+    Taken over points across the left image at several distances that both cameras see; the points' pixels are held,
     and depth is what the least-squares ray intersection makes of them.
     """
     width, height = rig.left.size_wh

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TrainedAgent, TruthEvaluation
+from binocal.app import CalibrationRun, DemoCase, ImageEvaluation, TrainedAgent, TruthEvaluation
 from binocal.formats import rig_json
 
 
@@ -61,8 +61,8 @@ def truth_document(evaluation: TruthEvaluation) -> dict[str, Any]:
     }
 
 
-def pictures_document(evaluation: PictureEvaluation) -> dict[str, Any]:
-    """Criteria on pictures."""
+def images_document(evaluation: ImageEvaluation) -> dict[str, Any]:
+    """Criteria on images."""
     pixel, row, length = evaluation.pixel_error, evaluation.row_error, evaluation.length_error
     return {
         "pixel_error_px": {"left": pixel.left_px, "right": pixel.right_px, "all": pixel.all_px},

@@ -13,9 +13,9 @@ ALLOCATIONS_PER_COLLECTION = 100_000  # of Python's own 700, there are a hundred
 
 
 def settle_process() -> None:
-    """Leave the cores to binocal's own threads, and freed pictures' memory to the next pictures.
+    """Leave the cores to binocal's own threads, and freed images' memory to the next images.
 
-    BLAS sees small matrices only, and the pages of a picture that is given back and asked for again cost as much as a
+    BLAS sees small matrices only, and the pages of an image that is given back and asked for again cost as much as a
     tenth of its decoding. Python looks for garbage in cycles seldom, and not at all when the process ends. A setting of the
     user's own comes first.
     """

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from binocal.app import CalibrationRun, DemoCase, PictureEvaluation, TrainedAgent, TruthEvaluation
+from binocal.app import CalibrationRun, DemoCase, ImageEvaluation, TrainedAgent, TruthEvaluation
 from binocal.cameras import StereoRig, camera_model
 from binocal.cli.exits import one_line
 from binocal.metrics.pose import ParameterError
@@ -51,7 +51,7 @@ def calibration_text(
         lines.append(f"Files    {len(run.ignored)} ignored (listed above, on stderr)")
     if run.elapsed_s:
         lines.append(
-            f"Time     {run.elapsed_s['pictures']:.2f} s for the pictures, {run.elapsed_s['solve']:.2f} s to solve"
+            f"Time     {run.elapsed_s['images']:.2f} s for the images, {run.elapsed_s['solve']:.2f} s to solve"
         )
     written = f"{output}" if opencv is None else f"{output} and {opencv}"
     return "\n".join([*lines, f"Wrote    {written}"])
@@ -82,7 +82,7 @@ def truth_text(evaluation: TruthEvaluation) -> str:
     return "\n".join(lines)
 
 
-def pictures_text(evaluation: PictureEvaluation, is_metric: bool) -> str:
+def images_text(evaluation: ImageEvaluation, is_metric: bool) -> str:
     """The criteria that need no truth."""
     pixel, row, length = evaluation.pixel_error, evaluation.row_error, evaluation.length_error
     rows = [
@@ -118,10 +118,10 @@ def demo_text(cases: Sequence[DemoCase], output: Path) -> str:
             *(f"warning: {one_line(text)}" for text in case.run.calibration.warnings),
             "",
             truth_text(case.evaluation),
-            f"{case.run.elapsed_s['pictures']:.2f} s for the pictures, {case.run.elapsed_s['solve']:.2f} s to solve",
+            f"{case.run.elapsed_s['images']:.2f} s for the images, {case.run.elapsed_s['solve']:.2f} s to solve",
             "",
         ]
-    return "\n".join([*lines, f"Wrote pictures, truth.json and rig.json of both boards into {output}"])
+    return "\n".join([*lines, f"Wrote images, truth.json and rig.json of both boards into {output}"])
 
 
 def training_text(trained: TrainedAgent) -> str:

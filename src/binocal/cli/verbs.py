@@ -39,8 +39,8 @@ BOARD_HELP = (
     "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, or a YAML file. "
     "A length without mm, cm, m or in leaves the scale unknown."
 )
-Left = Annotated[str, typer.Option("--left", help="Left pictures: a glob in quotes, or a folder.", metavar="GLOB")]
-Right = Annotated[str, typer.Option("--right", help="Right pictures, paired with the left by name.", metavar="GLOB")]
+Left = Annotated[str, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")]
+Right = Annotated[str, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")]
 BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
 Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout, on errors too.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
@@ -65,13 +65,13 @@ def _common(
 @app.command()
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", help="Folder for pictures, rig.json and truth.json.", metavar="DIR")
+        Path, typer.Option("--output", help="Folder for images, rig.json and truth.json.", metavar="DIR")
     ] = Path("binocal-demo"),
     seed: Seed = 0,
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Render the paper's rig with two boards, calibrate it from the pictures, and compare with the truth."""
+    """Render the paper's rig with two boards, calibrate it from the images, and compare with the truth."""
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
@@ -100,7 +100,7 @@ def calibrate(
     ] = Model.auto,
     skew: Annotated[bool, typer.Option("--skew", help="Estimate the skew of both cameras.")] = False,
     preprocess: Annotated[
-        bool, typer.Option("--preprocess", help="Filter the pictures and strengthen their edges first.")
+        bool, typer.Option("--preprocess", help="Filter the images and strengthen their edges first.")
     ] = False,
     max_views: Annotated[
         int | None,
@@ -122,7 +122,7 @@ def calibrate(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Calibrate a stereo rig from pictures of a board."""
+    """Calibrate a stereo rig from images of a board."""
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
@@ -139,7 +139,7 @@ def calibrate(
         check_opencv_output(opencv, force=force)
     options = verbs.CalibrateOptions(calibrator, model.value, skew, preprocess, seed, max_views)
     with progress_on_terminal() as progress:
-        run = verbs.calibrate_pictures(left, right, parsed, options, progress=progress)
+        run = verbs.calibrate_images(left, right, parsed, options, progress=progress)
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     rig_json.write_calibration(output, run.calibration, force=force)
     if opencv is not None:
@@ -153,8 +153,8 @@ def calibrate(
 @app.command()
 def simulate(
     board: BoardSpec,
-    pairs: Annotated[int, typer.Option("--pairs", help="Number of picture pairs.", metavar="N", min=1)],
-    output: Annotated[Path, typer.Option("--output", help="Folder for the pictures and truth.json.", metavar="DIR")],
+    pairs: Annotated[int, typer.Option("--pairs", help="Number of image pairs.", metavar="N", min=1)],
+    output: Annotated[Path, typer.Option("--output", help="Folder for the images and truth.json.", metavar="DIR")],
     rig: Annotated[
         str, typer.Option("--rig", help="table2 (the paper's rig), a rig.json, or OpenCV's file.", metavar="NAME")
     ] = "table2",
@@ -168,7 +168,7 @@ def simulate(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Render pictures of a board as a rig sees it, with the exact truth beside them."""
+    """Render images of a board as a rig sees it, with the exact truth beside them."""
     from binocal import app as verbs
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
@@ -202,20 +202,20 @@ def evaluate(
     truth: Annotated[
         Path | None, typer.Option("--truth", help="truth.json of the simulation.", metavar="TRUTH.JSON")
     ] = None,
-    left: Annotated[str | None, typer.Option("--left", help="Held-out left pictures.", metavar="GLOB")] = None,
-    right: Annotated[str | None, typer.Option("--right", help="Held-out right pictures.", metavar="GLOB")] = None,
+    left: Annotated[str | None, typer.Option("--left", help="Held-out left images.", metavar="GLOB")] = None,
+    right: Annotated[str | None, typer.Option("--right", help="Held-out right images.", metavar="GLOB")] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
     json: Json = False,
 ) -> int:
-    """Judge a rig by the paper's criteria, against the truth or on pictures that it has not seen."""
+    """Judge a rig by the paper's criteria, against the truth or on images that it has not seen."""
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
     from binocal.formats.rig_file import load_rig
 
-    on_pictures = (left, right, board)
-    if (truth is None) == (on_pictures == (None, None, None)) or (truth is None and None in on_pictures):
+    on_images = (left, right, board)
+    if (truth is None) == (on_images == (None, None, None)) or (truth is None and None in on_images):
         raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
     if truth is not None:
         against_truth = verbs.evaluate_truth(rig_json.read_calibration(rig), rig_json.read_truth(truth))
@@ -223,9 +223,9 @@ def evaluate(
         return FINE
     read = load_rig(rig)
     with progress_on_terminal() as progress:
-        on_held_out = verbs.evaluate_pictures(read, str(left), str(right), _parse_board(str(board)), progress=progress)
+        on_held_out = verbs.evaluate_images(read, str(left), str(right), _parse_board(str(board)), progress=progress)
     tables.list_left_out(on_held_out.ignored, on_held_out.rejected, on_held_out.notes)
-    _present(documents.pictures_document(on_held_out), tables.pictures_text(on_held_out, read.is_metric), json)
+    _present(documents.images_document(on_held_out), tables.images_text(on_held_out, read.is_metric), json)
     return FINE
 
 
@@ -259,7 +259,7 @@ def train(
     ] = None,
     data: Annotated[
         Path | None,
-        typer.Option("--data", help="Train on real pictures: left* and right* in a folder.", metavar="DIR"),
+        typer.Option("--data", help="Train on real images: left* and right* in a folder.", metavar="DIR"),
     ] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
     beside: Annotated[
@@ -276,13 +276,13 @@ def train(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Train an agent on simulated rigs or real pictures; started again in the same folder, it goes on where it was."""
+    """Train an agent on simulated rigs or real images; started again in the same folder, it goes on where it was."""
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
 
     if data is None and board is not None:
-        raise typer.BadParameter("--board is that of the pictures in --data DIR; simulated rigs have theirs.")
+        raise typer.BadParameter("--board is that of the images in --data DIR; simulated rigs have theirs.")
     options = verbs.TrainOptions(
         _one_of("--agent", agent, ("drl", "drl-increments")),
         _one_of("--targets", targets, ("soft", "hard")),
@@ -344,7 +344,7 @@ def _check_calibrator(name: str) -> None:
     from binocal.calibrators import load_calibrator
 
     try:
-        load_calibrator(name)  # weights are read before any picture is
+        load_calibrator(name)  # weights are read before any image is
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
 

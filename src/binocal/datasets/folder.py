@@ -1,4 +1,4 @@
-"""Left and right pictures of a folder, paired by the name or number that they share."""
+"""Left and right images of a folder, paired by the name or number that they share."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pathlib import Path
 from binocal.datasets.naming import Naming, find_naming, natural_key
 from binocal.errors import DataError
 
-PICTURE_SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".pgm", ".ppm", ".pnm"))
+IMAGE_SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".pgm", ".ppm", ".pnm"))
 _COPY = re.compile(r"^(?P<original>.+?)(?:\s*[-_ ]?\s*copy(?:\s*\(?\d+\)?)?|\s*\(\d+\))$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
-class PicturePair:
-    """A left and a right picture that were taken together; ``name`` is what their file names share."""
+class ImagePair:
+    """A left and a right image that were taken together; ``name`` is what their file names share."""
 
     name: str
     left_path: Path
@@ -31,7 +31,7 @@ class PicturePair:
 class Pairing:
     """Pairs in natural order (2 before 10), and every other file with the reason why it is in no pair."""
 
-    pairs: tuple[PicturePair, ...]
+    pairs: tuple[ImagePair, ...]
     ignored: tuple[tuple[Path, str], ...] = ()
 
 
@@ -39,33 +39,33 @@ def list_pairs(
     left: str | PathLike[str] | Sequence[str | PathLike[str]],
     right: str | PathLike[str] | Sequence[str | PathLike[str]],
 ) -> Pairing:
-    """Pairs of left and right pictures, each side given as a glob, a folder, a file or a sequence of files.
+    """Pairs of left and right images, each side given as a glob, a folder, a file or a sequence of files.
 
-    Pictures are paired by what their names share once the part that tells the sides apart is taken away (left01 and
-    right01, imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they tell pictures
+    Images are paired by what their names share once the part that tells the sides apart is taken away (left01 and
+    right01, imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they tell images
     apart. Nothing is paired by position: orphans, copies ("left03 (1).jpg") and double numbers are listed in
     ``ignored``. Two single files are a pair whatever they are called.
 
     Raises:
-        DataError: A side holds no picture, no name is shared, or left and right are the same pictures.
+        DataError: A side holds no image, no name is shared, or left and right are the same images.
     """
     ignored: dict[Path, str] = {}
-    sides = [_list_pictures(side, source, ignored) for side, source in (("left", left), ("right", right))]
+    sides = [_list_images(side, source, ignored) for side, source in (("left", left), ("right", right))]
     lefts, rights = sides
     if len(lefts) == len(rights) == 1 and lefts[0] != rights[0]:
         naming = find_naming(lefts, rights)
         name = naming.left_names.get(lefts[0], "") if naming else ""
-        candidates = [PicturePair(name or lefts[0].stem, lefts[0], rights[0])]
+        candidates = [ImagePair(name or lefts[0].stem, lefts[0], rights[0])]
     else:
         naming = find_naming(lefts, rights)
         if naming is None:
             if set(lefts) & set(rights):
                 raise DataError(
-                    f"{left} and {right}: left and right are the same pictures; name each camera's own pictures."
+                    f"{left} and {right}: left and right are the same images; name each camera's own images."
                 )
             raise DataError(
-                f"{len(lefts)} left and {len(rights)} right pictures share no name or number (such as "
-                f"{lefts[0].name} and {rights[0].name}); give pictures of one moment one number, "
+                f"{len(lefts)} left and {len(rights)} right images share no name or number (such as "
+                f"{lefts[0].name} and {rights[0].name}); give images of one moment one number, "
                 "such as left01.png and right01.png."
             )
         candidates = _match(naming, lefts, rights, ignored)
@@ -76,34 +76,34 @@ def list_pairs(
     return Pairing(tuple(pairs), tuple((path, ignored[path]) for path in order))
 
 
-def _list_pictures(
+def _list_images(
     side: str, source: str | PathLike[str] | Sequence[str | PathLike[str]], ignored: dict[Path, str]
 ) -> list[Path]:
-    """The side's pictures in natural order; what is no picture or a copy goes to ``ignored``."""
+    """The side's images in natural order; what is no image or a copy goes to ``ignored``."""
     is_listed = not isinstance(source, (str, PathLike))
     if is_listed:
         found = [Path(path) for path in source]
-        text = f"the list of {len(found)} {side} pictures"
+        text = f"the list of {len(found)} {side} images"
     else:
         text = os.fspath(source)
         found = _expand(side, text)
     found = sorted({Path(os.path.normpath(path)) for path in found}, key=lambda path: natural_key(str(path)))
-    pictures = []
+    images = []
     for path in found:
         is_named = is_listed or str(path) == os.path.normpath(os.path.expanduser(text))
-        if path.suffix.lower() in PICTURE_SUFFIXES or (is_named and not path.is_dir()):
-            pictures.append(path)
+        if path.suffix.lower() in IMAGE_SUFFIXES or (is_named and not path.is_dir()):
+            images.append(path)
         elif not path.is_dir():
-            ignored[path] = "is not a picture (by its suffix)"
-    present = {(path.parent, path.stem.lower()) for path in pictures}
-    for path in list(pictures):
+            ignored[path] = "is not an image (by its suffix)"
+    present = {(path.parent, path.stem.lower()) for path in images}
+    for path in list(images):
         copy = _COPY.match(path.stem)
         if copy and (path.parent, copy["original"].strip().lower()) in present:
             ignored[path] = f"is a copy of {copy['original'].strip()}{path.suffix}"
-            pictures.remove(path)
-    if not pictures:
-        raise DataError(f"{side}: no picture in {text}; {_describe_folder(text if not is_listed else '')}")
-    return pictures
+            images.remove(path)
+    if not images:
+        raise DataError(f"{side}: no image in {text}; {_describe_folder(text if not is_listed else '')}")
+    return images
 
 
 def _expand(side: str, text: str) -> list[Path]:
@@ -138,7 +138,7 @@ def _describe_folder(text: str) -> str:
     return f"{folder} holds {len(names)} entries such as {', '.join(names[:4])}; check the pattern."
 
 
-def _match(naming: Naming, lefts: list[Path], rights: list[Path], ignored: dict[Path, str]) -> list[PicturePair]:
+def _match(naming: Naming, lefts: list[Path], rights: list[Path], ignored: dict[Path, str]) -> list[ImagePair]:
     """Pairs of equal keys; everything else is explained in ``ignored``."""
     by_key: dict[str, dict[object, list[Path]]] = {"left": defaultdict(list), "right": defaultdict(list)}
     for side, paths, keys in (("left", lefts, naming.left_keys), ("right", rights, naming.right_keys)):
@@ -149,7 +149,7 @@ def _match(naming: Naming, lefts: list[Path], rights: list[Path], ignored: dict[
     for key, paths in by_key["left"].items():
         partners = by_key["right"].get(key, [])
         if len(paths) == len(partners) == 1:
-            pairs.append(PicturePair(naming.left_names[paths[0]], paths[0], partners[0]))
+            pairs.append(ImagePair(naming.left_names[paths[0]], paths[0], partners[0]))
             used.update((paths[0], partners[0]))
     for side, other, paths, keys in (
         ("left", "right", lefts, naming.left_keys),
@@ -163,28 +163,28 @@ def _match(naming: Naming, lefts: list[Path], rights: list[Path], ignored: dict[
             partners = [] if key is None else by_key[other].get(key, [])
             if len(same) > 1:
                 twin = next(candidate for candidate in same if candidate != path)
-                ignored[path] = f"{side} has another picture of the same name or number, {twin.name}"
+                ignored[path] = f"{side} has another image of the same name or number, {twin.name}"
             elif partners:
-                ignored[path] = f"{other} has {len(partners)} pictures for it: {', '.join(p.name for p in partners)}"
+                ignored[path] = f"{other} has {len(partners)} images for it: {', '.join(p.name for p in partners)}"
             else:
                 ignored[path] = f"has no {other} partner"
     return sorted(pairs, key=lambda pair: natural_key(pair.name))
 
 
-def _drop_identical(pairs: list[PicturePair], ignored: dict[Path, str]) -> list[PicturePair]:
+def _drop_identical(pairs: list[ImagePair], ignored: dict[Path, str]) -> list[ImagePair]:
     """Pairs whose two files differ; the same bytes on both sides are no stereo pair."""
     kept = []
     for pair in pairs:
         if _are_same_bytes(pair.left_path, pair.right_path):
-            ignored[pair.left_path] = f"is the same picture as {pair.right_path}"
-            ignored[pair.right_path] = f"is the same picture as {pair.left_path}"
+            ignored[pair.left_path] = f"is the same image as {pair.right_path}"
+            ignored[pair.right_path] = f"is the same image as {pair.left_path}"
         else:
             kept.append(pair)
     if pairs and not kept:
         first = pairs[0]
         raise DataError(
-            f"left and right are the same pictures (such as {first.left_path} and {first.right_path}); "
-            "name each camera's own pictures."
+            f"left and right are the same images (such as {first.left_path} and {first.right_path}); "
+            "name each camera's own images."
         )
     return kept
 

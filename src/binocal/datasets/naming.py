@@ -1,4 +1,4 @@
-"""What tells the left pictures' names from the right ones', and what is left to pair them by."""
+"""What tells the left images' names from the right ones', and what is left to pair them by."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _Substitution = tuple[int, str, str]  # token position (-1: wherever it stands),
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """A key (equal on both sides for pictures of one moment) and a readable name for each path."""
+    """A key (equal on both sides for images of one moment) and a readable name for each path."""
 
     left_keys: dict[Path, object]
     right_keys: dict[Path, object]
@@ -47,7 +47,7 @@ def natural_key(text: str) -> list[tuple[int, int, str]]:
 
 
 def find_naming(lefts: Sequence[Path], rights: Sequence[Path]) -> Naming | None:
-    """The naming that pairs most pictures; None where nothing is shared.
+    """The naming that pairs most images; None where nothing is shared.
 
     Tried in this order of belief: the file's stem, the path below the common folder, the numbers that vary. A
     substitution of tokens (left -> right) makes the rest comparable; a number counts as the side's mark only where it
@@ -220,7 +220,7 @@ def _name_by_varying_numbers(lefts: Sequence[Path], rights: Sequence[Path]) -> l
 
 
 def _count_pairs(naming: Naming) -> int:
-    """Keys that exactly one left and one other right picture bear."""
+    """Keys that exactly one left and one other right image bear."""
     lefts, rights = Counter(naming.left_keys.values()), Counter(naming.right_keys.values())
     single_left = {key: path for path, key in naming.left_keys.items() if lefts[key] == 1}
     single_right = {key: path for path, key in naming.right_keys.items() if rights[key] == 1}

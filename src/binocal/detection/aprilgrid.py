@@ -1,6 +1,6 @@
 """AprilGrids: grids of 36h11 tags whose corners touch small black squares, as Kalibr prints them, or touch nothing.
 
-Prints differ in three ways that the pictures tell: the tag's black border is one or two bits wide (Kalibr: two), ids
+Prints differ in three ways that the images tell: the tag's black border is one or two bits wide (Kalibr: two), ids
 count from the top-left or from the bottom-left tag (Kalibr), and a tag's own up may be turned against the board's.
 """
 
@@ -41,7 +41,7 @@ class TagLayout:
 def detect_aprilgrid(
     grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board, layout: TagLayout | None = None
 ) -> tuple[FoundBoard, TagLayout | None]:
-    """The tag corners of an AprilGrid, partly visible or not, and the layout that the picture proves (None: none).
+    """The tag corners of an AprilGrid, partly visible or not, and the layout that the image proves (None: none).
 
     Points are in the order of the board as it hangs upright, whichever way its ids run. With a ``layout`` given it is
     taken.
@@ -74,7 +74,7 @@ def detect_aprilgrid(
         ), proved
     found = _measure(grey, stretched, board, tags, quads, chosen, border_bits)
     if found.is_found and layout is None and proved is None:
-        found = replace(found, note="which way the ids run cannot be told from this picture; from the bottom taken")
+        found = replace(found, note="which way the ids run cannot be told from this image; from the bottom taken")
     return found, proved
 
 
@@ -83,7 +83,7 @@ _LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (True, False
 
 
 def _find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
-    """Tags of either border width, in the picture with its dark parts thinned by a pixel and, if need be, as it is.
+    """Tags of either border width, in the image with its dark parts thinned by a pixel and, if need be, as it is.
 
     Thinning parts the tags from the small squares that touch their corners and would merge them into one outline; it
     shrinks a tag by a pixel on each side, which refinement takes back.
@@ -91,9 +91,9 @@ def _find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[nd
     dictionary = get_dictionary("DICT_APRILTAG_36h11")
     thinned = cv2.dilate(grey8, np.ones((3, 3), np.uint8))
     best: tuple[ndarray, ndarray, int] = (np.zeros(0, int), np.zeros((0, 4, 2)), 2)
-    for picture, grow in ((thinned, 1.0), (grey8, 0.0)):
+    for image, grow in ((thinned, 1.0), (grey8, 0.0)):
         for border_bits in (2, 1):
-            ids, quads = find_markers(picture, dictionary, border_bits=border_bits)
+            ids, quads = find_markers(image, dictionary, border_bits=border_bits)
             if len(ids) > len(best[0]):
                 best = ids, np.array([_grow(quad, grow) for quad in quads]), border_bits
             if len(best[0]) >= max(4, n_tags // 2):
@@ -155,7 +155,7 @@ def _measure(
         seen = np.isfinite(points[:, 0])
     if seen.sum() < 4:
         return not_found(
-            n, f"only {seen.sum()} tag corners could be measured; the picture is too blurred or the tags are too small"
+            n, f"only {seen.sum()} tag corners could be measured; the image is too blurred or the tags are too small"
         )
     covariance[~seen] = np.nan
     note = ""

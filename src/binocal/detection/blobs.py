@@ -48,22 +48,22 @@ class Blobs:
 
 def find_blobs(stretched: Float32[ndarray, "h w"], *, is_dark: bool) -> Blobs:
     """Elliptic spots, darker (or brighter) than what is around them, found by local thresholds of four sizes."""
-    picture = np.clip(stretched, 0, 255).astype(np.uint8)
+    image = np.clip(stretched, 0, 255).astype(np.uint8)
     if not is_dark:
-        picture = 255 - picture
-    picture = cv2.GaussianBlur(picture, (3, 3), 0)
-    shortest = min(picture.shape)
+        image = 255 - image
+    image = cv2.GaussianBlur(image, (3, 3), 0)
+    shortest = min(image.shape)
     found: list[tuple[float, ...]] = []
     for share in (0.04, 0.09, 0.2, 0.45):
         block = max(7, int(share * shortest)) | 1
-        mean = cv2.blur(picture, (block, block))
-        binary = (picture.astype(np.int16) < mean.astype(np.int16) - 6).astype(np.uint8)
+        mean = cv2.blur(image, (block, block))
+        binary = (image.astype(np.int16) < mean.astype(np.int16) - 6).astype(np.uint8)
         contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
             ellipse = _fit_ellipse(contour, shortest)
             if ellipse is not None:
                 found.append(ellipse)
-    return _merge(found, picture)
+    return _merge(found, image)
 
 
 def _fit_ellipse(contour: ndarray, shortest: int) -> tuple[float, ...] | None:
@@ -94,11 +94,11 @@ def _fit_ellipse(contour: ndarray, shortest: int) -> tuple[float, ...] | None:
     return x, y, major + 0.5, minor + 0.5, angle, misfit
 
 
-def _merge(found: list[tuple[float, ...]], picture: ndarray) -> Blobs:
+def _merge(found: list[tuple[float, ...]], image: ndarray) -> Blobs:
     """One blob per spot: of those that share a centre, the best ellipse, if it stands out from its surroundings."""
     kept: list[tuple[float, ...]] = []
     taken: dict[tuple[int, int], list[tuple[float, ...]]] = {}
-    height, width = picture.shape
+    height, width = image.shape
     for blob in sorted(found, key=lambda blob: blob[5]):
         x, y, major, minor = blob[:4]
         reach = max(minor, 2.0)
@@ -112,14 +112,14 @@ def _merge(found: list[tuple[float, ...]], picture: ndarray) -> Blobs:
         if any((x - other[0]) ** 2 + (y - other[1]) ** 2 < (0.7 * min(minor, other[3]) + 1) ** 2 for other in near):
             continue
         cosine, sine = np.cos(blob[4]), np.sin(blob[4])
-        inside = picture[min(height - 1, max(0, round(y))), min(width - 1, max(0, round(x)))]
+        inside = image[min(height - 1, max(0, round(y))), min(width - 1, max(0, round(x)))]
         ring = []
         for way in ((cosine, sine), (-cosine, -sine)), ((-sine, cosine), (sine, -cosine)):
             distance = (1.3 * major if way is not None and way[0] == (cosine, sine) else 1.3 * minor) + 1.5
             for dx, dy in way:
                 column, row = round(x + distance * dx), round(y + distance * dy)
                 if 0 <= column < width and 0 <= row < height:
-                    ring.append(int(picture[row, column]))
+                    ring.append(int(image[row, column]))
         if len(ring) < 4 or min(ring) - int(inside) < MIN_CONTRAST_DN:
             continue
         kept.append(blob)

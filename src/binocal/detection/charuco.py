@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int
 
 Layout = Literal["", "current", "legacy"]
-MIN_CORNERS = 4  # of one picture: fewer carry no pose; the solver decides on more
+MIN_CORNERS = 4  # of one image: fewer carry no pose; the solver decides on more
 MIN_LAYOUT_RATIO = 3.0  # by which one layout must fit better than the other to be believed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reading:
-    """The markers of a picture read in one layout: their squares (column, row) and how well they lie on one plane."""
+    """The markers of an image read in one layout: their squares (column, row) and how well they lie on one plane."""
 
     layout: Layout
     squares: Int[ndarray, "m 2"]
@@ -47,7 +47,7 @@ def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
 def detect_charuco(
     grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board, layout: Layout = ""
 ) -> tuple[FoundBoard, Layout]:
-    """The inner corners of a ChArUco board, partly visible or not, and the layout the picture proves ("": neither).
+    """The inner corners of a ChArUco board, partly visible or not, and the layout the image proves ("": neither).
 
     With a ``layout`` given it is taken; without, the one on which the markers fit a plane (the current one if both do,
     with a note).
@@ -69,7 +69,7 @@ def detect_charuco(
     found = _measure(grey, stretched, board, quads[known], reading)
     if found.is_found and not layout and not proved and board.rows % 2 == 0:
         found = replace(
-            found, note="the board's layout (current or legacy) cannot be told from this picture; current taken"
+            found, note="the board's layout (current or legacy) cannot be told from this image; current taken"
         )
     return found, proved
 
@@ -86,7 +86,7 @@ def _read_layout(board: Board, layout: Layout, ids: ndarray, quads: ndarray) -> 
 
 
 def find_columns(stretched: Float32[ndarray, "h w"], board: Board) -> int:
-    """Number of columns for which the picture's markers of the board's dictionary lie on a plane.
+    """Number of columns for which the image's markers of the board's dictionary lie on a plane.
 
     0 if none or several do.
     """

@@ -17,7 +17,7 @@ from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import expected_points, find_irregular
 from binocal.detection.search import SearchLevel, search_levels
 from binocal.detection.xcorners import localize_saddles, read_rings
-from binocal.kernels import pictures
+from binocal.kernels import images
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
@@ -29,16 +29,16 @@ MIN_SHARE_TO_LOOK_AGAIN = 0.4  # of the corners, to say where the missing ones a
 MIN_SHARE_OF_OTHER = 0.85  # of a board of another size, which is only a board if it is nearly whole
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too
 _RIVAL_SPACING = (
-    0.4  # a second board counts from this share of the first one's spacing on: a picture on a screen does not
+    0.4  # a second board counts from this share of the first one's spacing on: an image on a screen does not
 )
 
 
-def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
-    """The inner corners of a chessboard; ``picture`` is ``grey`` stretched to 8 bits.
+def detect_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
+    """The inner corners of a chessboard; ``image`` is ``grey`` stretched to 8 bits.
 
     Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's
     two (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the
-    lower right of the picture is chosen, which is the same in both cameras of a rig unless the board is turned by 135
+    lower right of the image is chosen, which is the same in both cameras of a rig unless the board is turned by 135
     degrees.
     """
     size = (max(board.columns, board.rows), min(board.columns, board.rows))
@@ -49,9 +49,9 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
     several: list[Lattice] = []
     previous: tuple[int, int] | None = None
     failed: FoundBoard | None = None
-    for level in search_levels(picture, size):
+    for level in search_levels(image, size):
         if level.is_stretched and (failed or several):
-            break  # a part of the picture must not overrule what the whole of it showed
+            break  # a part of the image must not overrule what the whole of it showed
         exact = [lattice for lattice in level.lattices if lattice.size == size]
         is_second_look = bool(seen)
         if exact:
@@ -61,7 +61,7 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
         if seen and (is_second_look or most_seen >= SHARE_THAT_WILL_DO * board.n_points):
             # A finer look seldom shows more than the second.
             for lattice, where in sorted(seen, key=lambda candidate: -candidate[0].n_seen):
-                found = _finish(grey, picture, board, lattice, where)
+                found = _finish(grey, image, board, lattice, where)
                 if found.is_found:
                     return found
                 failed = failed or found
@@ -82,7 +82,7 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
             break  # two levels agree on a larger board
         previous = larger
     for lattice, where in seen:
-        found = _finish(grey, picture, board, lattice, where)
+        found = _finish(grey, image, board, lattice, where)
         if found.is_found:
             return found
         failed = failed or found
@@ -90,7 +90,7 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
         return failed
     if several:
         return _several(board, several)
-    if part is not None and (whole := _grown(grey, picture, board, *part)) is not None:
+    if part is not None and (whole := _grown(grey, image, board, *part)) is not None:
         return whole
     spec = f"{board.columns}x{board.rows}"
     if other is None or most_seen >= other.n_seen:
@@ -104,10 +104,10 @@ def detect_chessboard(grey: ndarray, picture: UInt8[ndarray, "h w"], board: Boar
     )
 
 
-def find_chessboard_size(picture: UInt8[ndarray, "h w"]) -> tuple[int, int] | None:
-    """Columns and rows (the larger first) of the largest complete chessboard in a picture."""
+def find_chessboard_size(image: UInt8[ndarray, "h w"]) -> tuple[int, int] | None:
+    """Columns and rows (the larger first) of the largest complete chessboard in an image."""
     best: Lattice | None = None
-    for level in search_levels(picture, None):
+    for level in search_levels(image, None):
         for lattice in _boards(level.lattices)[:1]:
             if best is None or lattice.n_seen > best.n_seen:
                 best = lattice
@@ -156,7 +156,7 @@ def _cells(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "n 2"]:
 
 
 def _finish(
-    grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, lattice: Lattice, level: SearchLevel
+    grey: ndarray, image: UInt8[ndarray, "h w"], board: Board, lattice: Lattice, level: SearchLevel
 ) -> FoundBoard:
     """Orient, refine at full resolution and check a lattice of the board's size."""
     rivals = _boards(level.lattices, lattice)[1:]
@@ -168,9 +168,9 @@ def _finish(
         return not_found(
             board.n_points, "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
         )
-    grid = level.to_picture(_orient(lattice, board))
+    grid = level.to_image(_orient(lattice, board))
     spacing = grid_spacing(grid).ravel()
-    coarse = localize_saddles(picture, grid.reshape(-1, 2), spacing)
+    coarse = localize_saddles(image, grid.reshape(-1, 2), spacing)
     points, covariance = measure_corners(grey, coarse, board.object_points_m[:, :2], grid_reach(grid).ravel())
     points[np.linalg.norm(points - coarse, axis=1) > 0.3 * spacing] = np.nan
     points[_are_faint(level, points, grid)] = np.nan
@@ -178,7 +178,7 @@ def _finish(
     _drop_irregular(xy, points, spacing, MIN_SHARE_SEEN)
     seen = np.isfinite(points[:, 0])
     if not seen.all() and seen.sum() >= max(12, MIN_SHARE_TO_LOOK_AGAIN * board.n_points):
-        _look_again(grey, picture, level, xy, points, covariance, grid.shape)
+        _look_again(grey, image, level, xy, points, covariance, grid.shape)
         seen = np.isfinite(points[:, 0])
     if seen.sum() < max(4, MIN_SHARE_SEEN * board.n_points):
         return not_found(
@@ -189,25 +189,25 @@ def _finish(
     if not seen.all():
         notes.append(f"{seen.sum()} of {board.n_points} corners seen")
     if rivals:
-        notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the picture")
+        notes.append(f"another board of {rivals[0].size[0]}x{rivals[0].size[1]} corners is in the image")
     covariance[~seen] = np.nan
     return FoundBoard(points, covariance, note="; ".join(notes))
 
 
 def _grown(
-    grey: ndarray, picture: UInt8[ndarray, "h w"], board: Board, part: Lattice, level: SearchLevel
+    grey: ndarray, image: UInt8[ndarray, "h w"], board: Board, part: Lattice, level: SearchLevel
 ) -> FoundBoard | None:
     """The board that a lattice of fewer lines is a part of, None if there is none."""
     size = (max(board.columns, board.rows), min(board.columns, board.rows))
     if part.size[0] > size[0] or part.size[1] > size[1] or part.size == size:
         return None
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
-    grown = grow(grey, smooth, level.to_picture(part.points_px), size)
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.8)
+    grown = grow(grey, smooth, level.to_image(part.points_px), size)
     if grown is None:
         return None
     points, n_before = grown
-    whole = Lattice(level.from_picture(points), part.is_dark_first ^ bool(n_before % 2), part.contrast_dn)
-    found = _finish(grey, picture, board, whole, level)
+    whole = Lattice(level.from_image(points), part.is_dark_first ^ bool(n_before % 2), part.contrast_dn)
+    found = _finish(grey, image, board, whole, level)
     return found if found.is_found else None
 
 
@@ -222,7 +222,7 @@ def _drop_irregular(
 
 def _look_again(
     grey: ndarray,
-    picture: UInt8[ndarray, "h w"],
+    image: UInt8[ndarray, "h w"],
     level: SearchLevel,
     xy: Float[ndarray, "n 2"],
     points: Float[ndarray, "n 2"],
@@ -232,12 +232,12 @@ def _look_again(
     """Corners that are missing, once more, from where the others say that they are: a lattice may lose its way."""
     seen = np.isfinite(points[:, 0])
     expected = expected_points(xy, points, float(np.nanmedian(grid_spacing(points.reshape(shape)))))
-    height, width = picture.shape
+    height, width = image.shape
     if not ((expected > 0) & (expected < [width - 1, height - 1])).all():
         expected[~((expected > 0) & (expected < [width - 1, height - 1])).all(axis=1)] = np.nan
     whole = np.where(seen[:, None], points, expected).reshape(shape)
     spacing, reach = grid_spacing(whole).ravel(), grid_reach(whole).ravel()
-    coarse = localize_saddles(picture, np.where(seen[:, None], np.nan, expected), spacing)
+    coarse = localize_saddles(image, np.where(seen[:, None], np.nan, expected), spacing)
     found, of_found = measure_corners(grey, coarse, xy, reach)
     found[~(np.linalg.norm(found - expected, axis=1) < 0.3 * spacing)] = np.nan
     points[~seen], covariance[~seen] = found[~seen], of_found[~seen]
@@ -255,7 +255,7 @@ def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2
     v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
     weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
     places = np.tensordot(corners, weights, axes=(2, 1)).transpose(0, 1, 3, 2)  # (rows, columns, samples, 2)
-    values = pictures.sample(smooth, places)
+    values = images.sample(smooth, places)
     rows, columns = values.shape[:2]
     is_whole = np.isfinite(corners[..., 0]).all(axis=2)
     is_bright = ((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)) & is_whole
@@ -274,13 +274,13 @@ def _are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2
 def _are_faint(
     level: SearchLevel, points_px: Float[ndarray, "n 2"], grid_px: Float[ndarray, "rows columns 2"]
 ) -> Bool[ndarray, "n"]:
-    """Which points of the picture do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
+    """Which points of the image do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
 
     Contrast is taken absolutely and relative to the brightness about the corner, because a shadow dims both. Says
-    nothing (all False) where most points fail: a picture too blurred for rings of this size is not covered everywhere.
+    nothing (all False) where most points fail: an image too blurred for rings of this size is not covered everywhere.
     """
-    smooth, points = level.saddles.smooth, level.from_picture(points_px)
-    spacing = grid_spacing(level.from_picture(grid_px)).ravel()
+    smooth, points = level.saddles.smooth, level.from_image(points_px)
+    spacing = grid_spacing(level.from_image(grid_px)).ravel()
     seen = np.isfinite(points[:, 0])
     faint = np.zeros(len(points), bool)
     if not seen.any():
@@ -288,7 +288,7 @@ def _are_faint(
     radius = float(np.clip(0.2 * np.median(spacing[seen]), 2.5, 8.0))
     is_corner, _, contrast = read_rings(smooth, points[seen], radius, min_contrast_dn=3.0, max_unlikeness=0.6)
     if is_corner.mean() > 0.5:
-        relative = contrast / (pictures.sample(smooth, points[seen]) + 1)
+        relative = contrast / (images.sample(smooth, points[seen]) + 1)
         faint[seen] = ~is_corner
         faint[seen] |= (contrast < np.median(contrast[is_corner]) / 3) & (relative < np.median(relative[is_corner]) / 3)
     return faint
@@ -315,7 +315,7 @@ def _several(board: Board, rivals: list[Lattice]) -> FoundBoard:
     more = ", ..." if len(rivals) > 6 else ""
     return not_found(
         board.n_points,
-        f"more than one board in the picture ({len(rivals)}: {sizes}{more}); show one at a time, or cover the others",
+        f"more than one board in the image ({len(rivals)}: {sizes}{more}); show one at a time, or cover the others",
     )
 
 

@@ -49,7 +49,7 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
 
     Centres are those of the circles themselves: the shift of a disc's centroid under perspective is taken out with the
     homography of the whole grid. A symmetric grid looks the same turned by half (a square one by a quarter); the
-    orientation whose rows run most to the lower right of the picture is chosen, as with chessboards.
+    orientation whose rows run most to the lower right of the image is chosen, as with chessboards.
     """
     least = max(4, board.n_points // 2)
     best: tuple[int, tuple[int, int]] | None = None
@@ -122,7 +122,7 @@ def _match(lattice: LatticePoints, blobs: Blobs, board: Board) -> _Match:
 
 
 def _direction(cells: ndarray, points: ndarray) -> tuple[float, bool]:
-    """How far +x runs to the lower right in the picture, and whether x towards y turns the wrong way."""
+    """How far +x runs to the lower right in the image, and whether x towards y turns the wrong way."""
     step = np.linalg.lstsq(np.column_stack([cells, np.ones(len(cells))]), points, rcond=None)[0]
     return float(step[0].sum() / np.linalg.norm(step[0])), bool(step[0, 0] * step[1, 1] - step[0, 1] * step[1, 0] <= 0)
 
@@ -152,7 +152,7 @@ def _centroid_shift(
 
     Source: Heikkilä 2000, "Geometric camera calibration using circular control points"; there ellipses under a
     homography, here outlines under a homography and a polynomial for the lens, fitted to the centres as they get better.
-    The discs' radius follows from their areas in the picture.
+    The discs' radius follows from their areas in the image.
     """
     scale = np.abs(xy - xy.mean(axis=0)).max()
     plane = (xy - xy.mean(axis=0)) / scale
@@ -160,25 +160,25 @@ def _centroid_shift(
     angle = np.arange(72) * (2 * np.pi / 72)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     for _ in range(2):  # the first round's centres are off by the shift itself, which bends the map by a tenth of it
-        to_picture = _fit_smooth_map(plane, centres - shift)
-        if to_picture is None:
+        to_image = _fit_smooth_map(plane, centres - shift)
+        if to_image is None:
             return np.zeros_like(centres)
         step = 1e-3
         along_x, along_y = np.array([step, 0.0]), np.array([0.0, step])
-        dx = (to_picture(plane + along_x) - to_picture(plane - along_x)) / (2 * step)
-        dy = (to_picture(plane + along_y) - to_picture(plane - along_y)) / (2 * step)
+        dx = (to_image(plane + along_x) - to_image(plane - along_x)) / (2 * step)
+        dy = (to_image(plane + along_y) - to_image(plane - along_y)) / (2 * step)
         magnification = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
         radius = float(np.sqrt(np.median(areas_px2 / magnification) / np.pi))
-        outline = to_picture((plane[:, None] + radius * circle).reshape(-1, 2)).reshape(len(plane), -1, 2)
+        outline = to_image((plane[:, None] + radius * circle).reshape(-1, 2)).reshape(len(plane), -1, 2)
         following = np.roll(outline, -1, axis=1)
         cross = outline[..., 0] * following[..., 1] - outline[..., 1] * following[..., 0]
         centroid = ((outline + following) * cross[..., None]).sum(axis=1) / (3 * cross.sum(axis=1))[:, None]
-        shift = centroid - to_picture(plane)
+        shift = centroid - to_image(plane)
     return shift
 
 
 def _fit_smooth_map(plane: Float[ndarray, "n 2"], points: Float[ndarray, "n 2"]) -> Callable[[ndarray], ndarray] | None:
-    """Plane to picture: a homography and, where points are enough, a polynomial; None if degenerate."""
+    """Plane to image: a homography and, where points are enough, a polynomial; None if degenerate."""
     H = fit_homography(plane, points)
     if not np.isfinite(H).all():
         return None

@@ -1,7 +1,7 @@
-"""Corners by a maximum-likelihood fit of a blurred saddle to the raw picture, each with its covariance.
+"""Corners by a maximum-likelihood fit of a blurred saddle to the raw image, each with its covariance.
 
-The model and the fit are :mod:`binocal.kernels.pictures`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
-its own first, then all of a picture as one estimate, for they share the pixels' noise, the light's slope and the lens.
+The model and the fit are :mod:`binocal.kernels.images`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
+its own first, then all of an image as one estimate, for they share the pixels' noise, the light's slope and the lens.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.kernels import pictures
+from binocal.kernels import images
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class FittedCorners:
     """Corners and covariances, NaN where no saddle could be fitted.
 
-    ``misfit`` is the variance of the residuals' odd part over the picture's noise: 1 where the model holds.
+    ``misfit`` is the variance of the residuals' odd part over the image's noise: 1 where the model holds.
     ``blur_px`` are the two edges' blurs (Gaussian sigma, pixel integration taken out), ``contrast_dn`` bright minus dark.
     """
 
@@ -42,18 +42,18 @@ def fit_corners(
     *,
     board_xy: Float[ndarray, "n 2"] | None = None,
 ) -> FittedCorners:
-    """Fit the corner model around each point of a picture (h, w), uint8, uint16 or float32.
+    """Fit the corner model around each point of an image (h, w), uint8, uint16 or float32.
 
     ``reach_px`` is the distance to the nearest edge that is not the corner's own: the fit takes a disc of 0.85 of it, at
     most 14 px and at least 2.5, less where the blur carries that edge in. ``strip_px`` limits it to bands along the
     corner's edges, where squares are not plain. Starts must lie within half the reach (at least 1.5 px); a corner that
-    has no room inside the picture, or shows no saddle, is NaN. With the corners' places on the board, whose axes its
+    has no room inside the image, or shows no saddle, is NaN. With the corners' places on the board, whose axes its
     edges follow, the lens's bending of the edges is taken out.
     """
     points_px = np.asarray(points_px, dtype=float)
     strip = np.full(len(points_px), np.inf) if strip_px is None else strip_px
-    fits = pictures.fit_corners(grey, points_px, reach_px, strip)
-    pooled = pictures.pool_corners(fits, board_xy)
+    fits = images.fit_corners(grey, points_px, reach_px, strip)
+    pooled = images.pool_corners(fits, board_xy)
     blur = np.sqrt(np.maximum(fits.blur_px**2 - 1 / 12, 0))
     return FittedCorners(
         pooled.points_px, pooled.covariance_px2, pooled.noise_dn, pooled.misfit, blur, np.abs(fits.contrast_dn)

@@ -1,4 +1,4 @@
-"""One picture and a board in, the board's points out."""
+"""One image and a board in, the board's points out."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 MIN_SIDE_PX = 32
 BLANK_DN = 6.0  # of 255 after stretching at most fourfold
-GREATEST_STRETCH = 4.0  # an 8-bit picture has no more to give: beyond it rounding looks like corners
+GREATEST_STRETCH = 4.0  # an 8-bit image has no more to give: beyond it rounding looks like corners
 
 
 def detect(image: ndarray, board: Board) -> FoundBoard:
-    """The board's points in a picture (h, w) or (h, w, 3), uint8 or uint16, colours in blue-green-red order.
+    """The board's points in an image (h, w) or (h, w, 3), uint8 or uint16, colours in blue-green-red order.
 
     A board that cannot be found is not an error: ``reason`` says why. See :class:`binocal.detection.found.FoundBoard`.
 
     Raises:
-        ValueError: The array is not a picture.
+        ValueError: The array is not an image.
     """
     return detect_in_layout(image, board, None)[0]
 
@@ -38,17 +38,17 @@ def detect(image: ndarray, board: Board) -> FoundBoard:
 def detect_in_layout(
     image: ndarray, board: Board, layout: Layout | TagLayout | None
 ) -> tuple[FoundBoard, Layout | TagLayout | None]:
-    """As :func:`detect`, with a marker board's layout given (None: from the picture), and the one the picture proves.
+    """As :func:`detect`, with a marker board's layout given (None: from the image), and the one the image proves.
 
     Raises:
-        ValueError: The array is not a picture.
+        ValueError: The array is not an image.
     """
     grey = to_grey(image)
     if min(grey.shape) < MIN_SIDE_PX:
-        return not_found(board.n_points, f"the picture is only {grey.shape[1]}x{grey.shape[0]} pixels"), None
+        return not_found(board.n_points, f"the image is only {grey.shape[1]}x{grey.shape[0]} pixels"), None
     if board.kind == "chessboard":
-        picture, problem = stretch_8_bit(grey)
-        return (not_found(board.n_points, problem) if problem else detect_chessboard(grey, picture, board)), None
+        stretched, problem = stretch_8_bit(grey)
+        return (not_found(board.n_points, problem) if problem else detect_chessboard(grey, stretched, board)), None
     stretched, problem = stretch(grey)
     if problem:
         return not_found(board.n_points, problem), None
@@ -67,7 +67,7 @@ def detect_in_layout(
 
 
 def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:
-    """The picture as float32 in 0..255, stretched (8-bit: at most fourfold), and what makes it useless, if anything."""
+    """The image as float32 in 0..255, stretched (8-bit: at most fourfold), and what makes it useless, if anything."""
     low, gain, problem = _measure_range(grey)
     if problem:
         return grey.astype(np.float32), problem
@@ -77,7 +77,7 @@ def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:
 def stretch_8_bit(grey: ndarray) -> tuple[UInt8[ndarray, "h w"], str]:
     """As :func:`stretch`, in uint8 and with room beyond the percentiles: a small board may be brighter than all else.
 
-    A picture that needs no stretching is returned as it is.
+    An image that needs no stretching is returned as it is.
     """
     low, gain, problem = _measure_range(grey)
     if problem or (grey.dtype == np.uint8 and gain == 1):
@@ -94,7 +94,7 @@ def stretch_8_bit(grey: ndarray) -> tuple[UInt8[ndarray, "h w"], str]:
 
 
 def _measure_range(grey: ndarray) -> tuple[float, float, str]:
-    """The grey level that becomes 0, the gain, and what makes the picture useless, if anything."""
+    """The grey level that becomes 0, the gain, and what makes the image useless, if anything."""
     step = max(1, min(grey.shape) // 120)
     values = np.ascontiguousarray(grey[::step, ::step]).ravel()
     ranks = (int(0.005 * (values.size - 1)), int(np.ceil(0.995 * (values.size - 1))))
@@ -104,10 +104,10 @@ def _measure_range(grey: ndarray) -> tuple[float, float, str]:
     top = 255 if grey.dtype == np.uint8 else int(grey.max())
     share = float(levels[top - (1 if grey.dtype == np.uint8 else 0) :].sum() / values.size)
     if share > 0.6 and top > 0:
-        return low, 1.0, f"the picture is overexposed ({100 * share:.0f} % of it is saturated)"
+        return low, 1.0, f"the image is overexposed ({100 * share:.0f} % of it is saturated)"
     least = BLANK_DN if grey.dtype == np.uint8 else 16.0
     if span < least:
-        return low, 1.0, f"the picture is blank (its grey values span {span:.0f} levels)"
+        return low, 1.0, f"the image is blank (its grey values span {span:.0f} levels)"
     gain = 255.0 / span
     if grey.dtype == np.uint8:
         gain = min(gain, GREATEST_STRETCH) if gain > 1.5 else 1.0

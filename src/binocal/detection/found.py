@@ -1,4 +1,4 @@
-"""What detection says about one picture."""
+"""What detection says about one image."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundBoard:
-    """The board's points in one picture, in the board's own order.
+    """The board's points in one image, in the board's own order.
 
     ``points_px`` is NaN where a point was not seen, all NaN where the board was not found; ``reason`` then says why,
     and is empty otherwise. ``covariance_px2`` is each point's estimated covariance, NaN where it was not seen. ``note``

@@ -1,4 +1,4 @@
-"""Distances within a grid of points in a picture: how far the next corner is, and how far the next edge."""
+"""Distances within a grid of points in an image: how far the next corner is, and how far the next edge."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from numpy import ndarray
 from binocal.detection.corner_fit import fit_corners
 from binocal.detection.grid import grid_reach, grid_spacing
 from binocal.detection.regularity import expected_points
-from binocal.kernels import pictures
+from binocal.kernels import images
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32
@@ -34,7 +34,7 @@ def grow(
 ) -> tuple[Float[ndarray, "rows columns 2"], int] | None:
     """The grid grown to ``size`` (the larger number first), and how many lines came before its first corner.
 
-    ``grey`` is the picture and ``smooth`` the same, smoothed; points in its pixels. None where the picture does not bear it out.
+    ``grey`` is the image and ``smooth`` the same, smoothed; points in its pixels. None where the image does not bear it out.
     """
     grid, n_before = points_px, 0
     while (max(grid.shape[:2]), min(grid.shape[:2])) != size:
@@ -97,9 +97,9 @@ def _with_line(
 
 
 def _contrast(smooth: Float32[ndarray, "h w"], image: Float[ndarray, "r c 2"]) -> Float[ndarray, "rows columns"]:
-    """Signed contrast of the four squares about every inner point; 0 outside the picture."""
+    """Signed contrast of the four squares about every inner point; 0 outside the image."""
     centres = 0.25 * (image[:-1, :-1] + image[1:, :-1] + image[:-1, 1:] + image[1:, 1:])
     height, width = smooth.shape
     inside = ((centres >= 0) & (centres <= [width - 1, height - 1])).all(axis=-1)
-    light = np.where(inside, pictures.sample(smooth, np.where(inside[..., None], centres, 0.0)), np.nan)
+    light = np.where(inside, images.sample(smooth, np.where(inside[..., None], centres, 0.0)), np.nan)
     return np.nan_to_num(0.5 * (light[:-1, :-1] + light[1:, 1:] - light[:-1, 1:] - light[1:, :-1]))

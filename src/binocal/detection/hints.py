@@ -1,4 +1,4 @@
-"""What the SPEC should perhaps have been, tried on a few pictures when the board was found in none."""
+"""What the SPEC should perhaps have been, tried on a few images when the board was found in none."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from binocal.detection.chessboard import find_chessboard_size
 from binocal.detection.detect import detect, stretch, stretch_8_bit
 from binocal.detection.found import FoundBoard
 from binocal.errors import FormatError
-from binocal.images.reading import read_grey_picture
+from binocal.images.reading import read_grey_image
 
 MOST_TRIED = 3
 _FAMILIES = (
@@ -29,7 +29,7 @@ _FAMILIES = (
 
 
 def hint_from_sizes(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> tuple[str, int]:
-    """A hint from grids of another size that were seen instead of the board's, and in how many pictures."""
+    """A hint from grids of another size that were seen instead of the board's, and in how many images."""
     sizes = Counter(result.size_seen for _, result in found if result.size_seen is not None)
     if not sizes:
         return "", 0
@@ -40,20 +40,20 @@ def hint_from_sizes(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> t
 
 
 def hint_by_trying(paths: Sequence[Path], board: Board) -> str:
-    """A hint from other boards tried on the first readable pictures; empty where none fits."""
-    pictures: list[tuple[Path, ndarray]] = []
+    """A hint from other boards tried on the first readable images; empty where none fits."""
+    images: list[tuple[Path, ndarray]] = []
     for path in paths:
         try:
-            pictures.append((path, read_grey_picture(path)))
+            images.append((path, read_grey_image(path)))
         except FormatError:
             continue
-        if len(pictures) == MOST_TRIED:
+        if len(images) == MOST_TRIED:
             break
-    for path, grey in pictures:
+    for path, grey in images:
         hint = _try_boards(path, grey, board)
         if hint:
             return hint
-    return _try_families(*pictures[0], board) if pictures and board.kind in ("charuco", "aprilgrid") else ""
+    return _try_families(*images[0], board) if images and board.kind in ("charuco", "aprilgrid") else ""
 
 
 def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
@@ -74,8 +74,8 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
         if columns and columns != board.columns:
             return f"the markers in {path.name} fit a board {columns} squares wide: count columns and rows again."
     if board.kind in ("circles", "acircles"):
-        picture, problem = stretch_8_bit(grey)
-        size = None if problem else find_chessboard_size(picture)
+        image, problem = stretch_8_bit(grey)
+        size = None if problem else find_chessboard_size(image)
         if size is not None:
             return (
                 f"found a {size[0]}x{size[1]} chessboard in {path.name}: did you mean chessboard:{size[0]}x{size[1]}?"

@@ -1,6 +1,6 @@
 """Lattices of X-corners: neighbours are linked along their edges, links grow into grids with integer coordinates.
 
-Nothing here knows the board: every chessboard pattern in the picture comes out with its own number of columns and rows,
+Nothing here knows the board: every chessboard pattern in the image comes out with its own number of columns and rows,
 which is what tells a wrong SPEC, a second board or a half-hidden one.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.detection.regularity import fit_homography
-from binocal.detection.xcorners import SaddlePicture, XCorners, _wrap, read_rings
-from binocal.kernels import pictures
+from binocal.detection.xcorners import SaddleImage, XCorners, _wrap, read_rings
+from binocal.kernels import images
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -33,7 +33,7 @@ MIN_TO_JOIN = 12  # corners that fix a homography well enough to look two cells 
 class Lattice:
     """A grid of corners: ``points_px[row, column]``, NaN where none was seen.
 
-    Columns x rows turns as x towards y in the picture.
+    Columns x rows turns as x towards y in the image.
     ``is_dark_first`` tells that the square beyond corner (0, 0), outwards, is dark.
     """
 
@@ -74,23 +74,23 @@ class CornerGroup:
         return is_full and size == (max(columns, rows), min(columns, rows))
 
 
-def link_corners(saddles: SaddlePicture, corners: XCorners) -> list[CornerGroup]:
+def link_corners(saddles: SaddleImage, corners: XCorners) -> list[CornerGroup]:
     """The corners in connected groups, the largest first."""
     if len(corners) < 2:
         return []
-    neighbour, back_ray = pictures.link_corners(
+    neighbour, back_ray = images.link_corners(
         saddles.smooth, corners.points_px, corners.rays_rad, corners.contrast_dn, MAX_TURN_RAD
     )
     n_ends = (neighbour >= 0).sum(axis=1)
     groups = [
         CornerGroup(*group, int(n_ends[group[0]].sum()) // 2)
-        for group in pictures.grow_groups(corners.points_px, neighbour, back_ray)
+        for group in images.grow_groups(corners.points_px, neighbour, back_ray)
     ]
     return sorted(groups, key=lambda group: -len(group))
 
 
 def find_lattices(
-    saddles: SaddlePicture,
+    saddles: SaddleImage,
     corners: XCorners,
     groups: list[CornerGroup],
     *,
@@ -177,7 +177,7 @@ def _join(corners: XCorners, group: CornerGroup) -> tuple[Int[ndarray, "k"], Int
     return members, cells
 
 
-def _fill(saddles: SaddlePicture, grid: ndarray, is_bright_first: bool, *, least: int = 2) -> ndarray:
+def _fill(saddles: SaddleImage, grid: ndarray, is_bright_first: bool, *, least: int = 2) -> ndarray:
     """The grid with holes filled where it predicts corners: half the contrast will do, most edges must be seen."""
     for _ in range(3):
         if np.isfinite(grid[..., 0]).all():
@@ -197,9 +197,7 @@ def _fill(saddles: SaddlePicture, grid: ndarray, is_bright_first: bool, *, least
     return grid
 
 
-def _extend(
-    saddles: SaddlePicture, grid: ndarray, is_bright_first: bool, size: tuple[int, int]
-) -> tuple[ndarray, bool]:
+def _extend(saddles: SaddleImage, grid: ndarray, is_bright_first: bool, size: tuple[int, int]) -> tuple[ndarray, bool]:
     """The grid with weak border rows and columns added, as long as it stays within ``size`` (larger number first)."""
     while True:
         best_share, best = 0.0, None
@@ -232,7 +230,7 @@ def _see_edges(
         is_whole = np.isfinite(start[..., 0]) & np.isfinite(end[..., 0])
         a, b = start[is_whole], end[is_whole]
         way = b[:, :2] - a[:, :2]
-        is_seen = pictures.follow_edges(smooth, a[:, :2], way, sign[is_whole], np.minimum(a[:, 2], b[:, 2]))
+        is_seen = images.follow_edges(smooth, a[:, :2], way, sign[is_whole], np.minimum(a[:, 2], b[:, 2]))
         edge = np.zeros(is_whole.shape, int)
         edge[is_whole] = np.where(is_seen, 1, -1)
         edges.append(edge)
@@ -285,7 +283,7 @@ def predict_missing(
     return np.where(is_open[..., None], mean, np.nan), spacing
 
 
-def _search(saddles: SaddlePicture, predicted: ndarray, spacing: ndarray) -> Float[ndarray, "n 3"]:
+def _search(saddles: SaddleImage, predicted: ndarray, spacing: ndarray) -> Float[ndarray, "n 3"]:
     """The X-corner (x, y, contrast) at the strongest saddle within 0.25 spacings of each prediction, or NaN."""
     height, width = saddles.response.shape
     rim = int(np.ceil(saddles.radius_px)) + 1
@@ -358,7 +356,7 @@ def _step_break(grid: ndarray) -> float:
     return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
 
 
-def continues_beyond(saddles: SaddlePicture, corners: XCorners, lattice: Lattice) -> bool:
+def continues_beyond(saddles: SaddleImage, corners: XCorners, lattice: Lattice) -> bool:
     """Whether the lattice goes on beyond one of its borders: the printed board is larger than the lattice.
 
     A row counts where every corner and every edge of it is seen, with the lattice's own contrast; margins that are

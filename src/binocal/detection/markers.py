@@ -52,7 +52,7 @@ def find_markers(
 
 
 def to_8_bit(stretched: Float[ndarray, "h w"]) -> UInt8[ndarray, "h w"]:
-    """A stretched picture (0..255) as OpenCV's marker decoder takes it."""
+    """A stretched image (0..255) as OpenCV's marker decoder takes it."""
     return np.clip(stretched, 0, 255).astype(np.uint8)
 
 

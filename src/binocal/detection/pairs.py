@@ -1,4 +1,4 @@
-"""Pairs of pictures to detections: in threads, and with a reason for every picture that is not used."""
+"""Pairs of images to detections: in threads, and with a reason for every image that is not used."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.datasets.folder import Pairing, PicturePair
+from binocal.datasets.folder import ImagePair, Pairing
 from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
 from binocal.detection.hints import hint_by_trying, hint_from_sizes
 from binocal.detection.preprocessing import strengthen_edges
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
 from binocal.evidence import Detections
-from binocal.images.reading import read_hashed_grey_picture
+from binocal.images.reading import read_hashed_grey_image
 from binocal.result import RejectedView
 
-MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's pictures; with fewer it is not clear which size the camera has
-MIN_SHARE_OF_HINT = 0.2  # of the pictures must agree on another size before it is proposed
+MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's images; with fewer it is not clear which size the camera has
+MIN_SHARE_OF_HINT = 0.2  # of the images must agree on another size before it is proposed
 _SIDES = ("left", "right")
 
 
@@ -39,12 +39,12 @@ class PairDetections:
     rejected: tuple[RejectedView, ...]
     notes: tuple[str, ...]
     input_sha256: Mapping[str, str] = field(default_factory=dict)
-    """Of ``left`` and ``right``: SHA-256 over the name and the SHA-256 of each readable picture, in order."""
+    """Of ``left`` and ``right``: SHA-256 over the name and the SHA-256 of each readable image, in order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """One picture: its size and what was found, or why it could not be read."""
+    """One image: its size and what was found, or why it could not be read."""
 
     path: Path
     size_wh: tuple[int, int] | None = None
@@ -55,7 +55,7 @@ class _Seen:
 
 
 def detect_pairs(
-    pairs: Pairing | Sequence[PicturePair],
+    pairs: Pairing | Sequence[ImagePair],
     board: Board,
     *,
     preprocess: bool = False,
@@ -63,37 +63,35 @@ def detect_pairs(
     should_stop: Callable[[], bool] | None = None,
     n_threads: int | None = None,
 ) -> PairDetections:
-    """The board in every picture of every pair.
+    """The board in every image of every pair.
 
-    A view that one camera saw is kept, with NaN for the other camera. An unreadable picture, or one of another size
-    than the rest of its camera's, rejects its view. ``progress`` is called with pictures done and pictures in all,
-    ``should_stop`` is asked after each picture; OpenCV's own threads are switched off meanwhile, because the pictures
+    A view that one camera saw is kept, with NaN for the other camera. An unreadable image, or one of another size
+    than the rest of its camera's, rejects its view. ``progress`` is called with images done and images in all,
+    ``should_stop`` is asked after each image; OpenCV's own threads are switched off meanwhile, because the images
     already fill ``n_threads`` (all cores).
 
     Raises:
-        DetectionError: The board was found in no picture, or most pictures show a board of another size; with a hint if
-        there is one. DataError: There is no pair, no readable picture, or a camera's pictures have no common size.
+        DetectionError: The board was found in no image, or most images show a board of another size; with a hint if
+        there is one. DataError: There is no pair, no readable image, or a camera's images have no common size.
         CancelledError: ``should_stop`` returned True.
     """
     pairs = tuple(pairs.pairs if isinstance(pairs, Pairing) else pairs)
     if not pairs:
-        raise DataError(
-            "there is no pair of pictures; left and right pictures are paired by the number in their names."
-        )
+        raise DataError("there is no pair of images; left and right images are paired by the number in their names.")
     paths = [path for pair in pairs for path in (pair.left_path, pair.right_path)]
     seen = _detect_all(paths, board, preprocess, None, progress, should_stop, n_threads)
     seen = _agree_on_layout(seen, board, preprocess, should_stop, n_threads)
     sides = {"left": seen[0::2], "right": seen[1::2]}
-    if not any(picture.found for picture in seen):
-        problems = {picture.path.name: picture.problem for picture in seen}
-        raise DataError(f"none of the {len(seen)} pictures can be read; {next(iter(problems.values()))}")
+    if not any(image.found for image in seen):
+        problems = {image.path.name: image.problem for image in seen}
+        raise DataError(f"none of the {len(seen)} images can be read; {next(iter(problems.values()))}")
     _require_board(seen, pairs, board)
-    sizes = {side: _common_size(side, pictures) for side, pictures in sides.items()}
+    sizes = {side: _common_size(side, images) for side, images in sides.items()}
     kept, rejected, notes = _sort_views(pairs, sides, sizes)
     if not kept:
         raise DetectionError(_one_line("no view is usable", rejected), {view.name: view.reason for view in rejected})
     if sizes["left"] != sizes["right"]:
-        notes.append("left pictures are {}x{}, right ones {}x{}".format(*sizes["left"], *sizes["right"]))
+        notes.append("left images are {}x{}, right ones {}x{}".format(*sizes["left"], *sizes["right"]))
     points = {side: np.stack([_points(sides[side][i], board) for i in kept]) for side in _SIDES}
     covariances = {side: np.stack([_covariance(sides[side][i], board) for i in kept]) for side in _SIDES}
     detections = Detections(
@@ -111,7 +109,7 @@ def detect_pairs(
         detections,
         tuple(rejected),
         tuple(notes),
-        {side: _digest(pictures) for side, pictures in sides.items()},
+        {side: _digest(images) for side, images in sides.items()},
     )
 
 
@@ -124,7 +122,7 @@ def _detect_all(
     should_stop: Callable[[], bool] | None,
     n_threads: int | None,
 ) -> list[_Seen]:
-    """Every picture, in the order given."""
+    """Every image, in the order given."""
     results: list[_Seen | None] = [None] * len(paths)
     own_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -136,7 +134,7 @@ def _detect_all(
             if progress is not None:
                 progress(done, len(paths))
             if should_stop is not None and should_stop():
-                raise CancelledError(f"stopped after {done} of {len(paths)} pictures")
+                raise CancelledError(f"stopped after {done} of {len(paths)} images")
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         cv2.setNumThreads(own_threads)
@@ -145,7 +143,7 @@ def _detect_all(
 
 def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _Seen:
     try:
-        grey, sha256 = read_hashed_grey_picture(path)
+        grey, sha256 = read_hashed_grey_image(path)
     except FormatError as error:
         return _Seen(path, problem=str(error.problem))
     if preprocess:
@@ -157,78 +155,78 @@ def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _See
 def _agree_on_layout(
     seen: list[_Seen], board: Board, preprocess: bool, should_stop: Callable[[], bool] | None, n_threads: int | None
 ) -> list[_Seen]:
-    """Marker boards: the layout that most pictures prove holds for all.
+    """Marker boards: the layout that most images prove holds for all.
 
-    Pictures that were read otherwise are read again.
+    Images that were read otherwise are read again.
     """
-    votes = Counter(picture.layout for picture in seen if picture.layout)
+    votes = Counter(image.layout for image in seen if image.layout)
     if not votes:
         return seen
     layout = votes.most_common(1)[0][0]
-    again = [i for i, picture in enumerate(seen) if picture.found is not None and picture.layout != layout]
+    again = [i for i, image in enumerate(seen) if image.found is not None and image.layout != layout]
     renewed = _detect_all([seen[i].path for i in again], board, preprocess, layout, None, should_stop, n_threads)
     seen = list(seen)
-    for i, picture in zip(again, renewed, strict=True):
-        seen[i] = picture
+    for i, image in zip(again, renewed, strict=True):
+        seen[i] = image
     return seen
 
 
-def _require_board(seen: Sequence[_Seen], pairs: Sequence[PicturePair], board: Board) -> None:
-    """Raise where the board was found nowhere, or where more pictures show a grid of one other size."""
-    looked = [(picture.path, picture.found) for picture in seen if picture.found is not None]
+def _require_board(seen: Sequence[_Seen], pairs: Sequence[ImagePair], board: Board) -> None:
+    """Raise where the board was found nowhere, or where more images show a grid of one other size."""
+    looked = [(image.path, image.found) for image in seen if image.found is not None]
     n_found = sum(found.is_found for _, found in looked)
     hint, n_other = hint_from_sizes(looked, board)
     if n_found and n_other <= n_found:
         return
     spec = f"{board.kind}:{board.columns}x{board.rows}"
     reasons = {path.name: found.reason for path, found in looked if found.reason}
-    reasons |= {picture.path.name: picture.problem for picture in seen if picture.problem}
+    reasons |= {image.path.name: image.problem for image in seen if image.problem}
     if n_found:
-        text = f"{spec} was found in {n_found} of {len(seen)} pictures, but {n_other} show a grid of another size"
+        text = f"{spec} was found in {n_found} of {len(seen)} images, but {n_other} show a grid of another size"
     else:
         common, count = Counter(reasons.values()).most_common(1)[0]
         share = f" ({count} of them)" if count < len(reasons) else ""
-        text = f"{spec} was found in none of {len(seen)} pictures ({len(pairs)} pairs): {common}{share}"
+        text = f"{spec} was found in none of {len(seen)} images ({len(pairs)} pairs): {common}{share}"
         if n_other < MIN_SHARE_OF_HINT * len(looked):
             hint = hint_by_trying([path for path, _ in looked], board)
     remedy = hint or ("" if ";" in text else "check the board SPEC, the light and the focus.")
     raise DetectionError(f"{text}; {remedy}" if remedy else f"{text}.", reasons)
 
 
-def _common_size(side: str, pictures: Sequence[_Seen]) -> tuple[int, int]:
-    """The size of a camera's pictures."""
-    sizes = Counter(picture.size_wh for picture in pictures if picture.size_wh is not None)
+def _common_size(side: str, images: Sequence[_Seen]) -> tuple[int, int]:
+    """The size of a camera's images."""
+    sizes = Counter(image.size_wh for image in images if image.size_wh is not None)
     if not sizes:
         raise DataError(
-            f"none of the {len(pictures)} {side} pictures can be read; {pictures[0].path.name} {pictures[0].problem}"
+            f"none of the {len(images)} {side} images can be read; {images[0].path.name} {images[0].problem}"
         )
     ranked = sizes.most_common()
     size, count = ranked[0]
     if size is None or count < MIN_SHARE_OF_ONE_SIZE * sum(sizes.values()):
         text = " and ".join(f"{number} of {width}x{height}" for (width, height), number in ranked[:2])
         raise DataError(
-            f"{side} pictures differ in size ({text} pixels); a camera has one size: give pictures of one mode only."
+            f"{side} images differ in size ({text} pixels); a camera has one size: give images of one mode only."
         )
     return size
 
 
 def _sort_views(
-    pairs: Sequence[PicturePair], sides: dict[str, list[_Seen]], sizes: dict[str, tuple[int, int]]
+    pairs: Sequence[ImagePair], sides: dict[str, list[_Seen]], sizes: dict[str, tuple[int, int]]
 ) -> tuple[list[int], list[RejectedView], list[str]]:
     """Indices of the views to keep, the rejected ones, and notes on the kept ones."""
     kept, rejected, notes = [], [], []
     for i, pair in enumerate(pairs):
         unusable, unseen = [], []
         for side in _SIDES:
-            picture = sides[side][i]
-            if picture.problem or picture.found is None:
-                unusable.append(f"{picture.path.name} {picture.problem}")
-            elif picture.size_wh != sizes[side]:
-                width, height = picture.size_wh or (0, 0)
+            image = sides[side][i]
+            if image.problem or image.found is None:
+                unusable.append(f"{image.path.name} {image.problem}")
+            elif image.size_wh != sizes[side]:
+                width, height = image.size_wh or (0, 0)
                 expected = "{}x{}".format(*sizes[side])
-                unusable.append(f"{picture.path.name} is {width}x{height}, the other {side} pictures are {expected}")
-            elif picture.found.reason:
-                unseen.append((side, f"{picture.path.name}: {picture.found.reason}"))
+                unusable.append(f"{image.path.name} is {width}x{height}, the other {side} images are {expected}")
+            elif image.found.reason:
+                unseen.append((side, f"{image.path.name}: {image.found.reason}"))
         if unusable:
             rejected.append(RejectedView(pair.name, "; ".join(unusable)))
         elif len(unseen) == len(_SIDES):
@@ -251,17 +249,17 @@ def _one_line(text: str, rejected: Sequence[RejectedView]) -> str:
     return f"{text}: {first.name}: {first.reason}" + (f" (and {len(rejected) - 1} more)" if len(rejected) > 1 else "")
 
 
-def _digest(pictures: Sequence[_Seen]) -> str:
+def _digest(images: Sequence[_Seen]) -> str:
     """SHA-256 over names and contents' SHA-256, in order."""
     digest = hashlib.sha256()
-    for picture in pictures:
-        digest.update(f"{picture.path.name}\0{picture.sha256}\n".encode())
+    for image in images:
+        digest.update(f"{image.path.name}\0{image.sha256}\n".encode())
     return digest.hexdigest()
 
 
-def _points(picture: _Seen, board: Board) -> ndarray:
-    return picture.found.points_px if picture.found is not None else np.full((board.n_points, 2), np.nan)
+def _points(image: _Seen, board: Board) -> ndarray:
+    return image.found.points_px if image.found is not None else np.full((board.n_points, 2), np.nan)
 
 
-def _covariance(picture: _Seen, board: Board) -> ndarray:
-    return picture.found.covariance_px2 if picture.found is not None else np.full((board.n_points, 2, 2), np.nan)
+def _covariance(image: _Seen, board: Board) -> ndarray:
+    return image.found.covariance_px2 if image.found is not None else np.full((board.n_points, 2, 2), np.nan)

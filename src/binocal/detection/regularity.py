@@ -85,7 +85,7 @@ def _terms(xy: Float[ndarray, "n 2"], powers: list[tuple[int, int]]) -> Float[nd
 def fit_homography(
     xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], weight: Float[ndarray, "n"] | None = None
 ) -> Float[ndarray, "3 3"]:
-    """Plane to picture by the normalised direct linear transform (Hartley & Zisserman 2004, algorithm 4.2).
+    """Plane to image by the normalised direct linear transform (Hartley & Zisserman 2004, algorithm 4.2).
 
     NaN if degenerate.
     """

@@ -1,4 +1,4 @@
-"""The search for lattices of X-corners: from a coarse picture to the full one, then in stretched ones."""
+"""The search for lattices of X-corners: from a coarse image to the full one, then in stretched ones."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.detection.lattice import Lattice, find_lattices, link_corners
-from binocal.detection.xcorners import SaddlePicture, XCorners, find_x_corners
+from binocal.detection.xcorners import SaddleImage, XCorners, find_x_corners
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32, UInt8
 
 LEAST_LINKED_TO_STRETCH = 8  # chance seldom links more than six corners
 STRETCHES = 8  # directions of a half turn
-COARSEST_PX = 320  # long side of the coarsest picture searched: 12 squares across 60 % of it are 16 px each
+COARSEST_PX = 320  # long side of the coarsest image searched: 12 squares across 60 % of it are 16 px each
 MOST_KEPT_PIXELS = 1 << 21  # 1920x1080: at most 100 MB a thread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchLevel:
-    """One search: the lattices in a scaled or stretched picture, in that picture's pixels.
+    """One search: the lattices in a scaled or stretched image, in that image's pixels.
 
-    ``matrix`` takes the picture's pixels to these.
+    ``matrix`` takes the image's pixels to these.
     """
 
-    saddles: SaddlePicture
+    saddles: SaddleImage
     corners: XCorners
     matrix: Float[ndarray, "2 3"]
     lattices: list[Lattice]
     is_stretched: bool = False
-    """And shows a part of the picture only."""
+    """And shows a part of the image only."""
 
-    def from_picture(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-        """Points of the picture in this one."""
+    def from_image(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
+        """Points of the image in this one."""
         return points @ self.matrix[:, :2].T + self.matrix[:, 2]
 
-    def to_picture(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-        """Points of this picture in the whole one."""
+    def to_image(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
+        """Points of this image in the whole one."""
         return (points - self.matrix[:, 2]) @ np.linalg.inv(self.matrix[:, :2]).T
 
 
 class _Planes(threading.local):
-    """A thread's large arrays, kept from picture to picture: the system takes 3 ms to hand out those of 1280x960.
+    """A thread's large arrays, kept from image to image: the system takes 3 ms to hand out those of 1280x960.
 
-    What lies in them holds until the thread searches its next picture. Those of larger pictures are not kept.
+    What lies in them holds until the thread searches its next image. Those of larger images are not kept.
     """
 
     def __init__(self) -> None:
@@ -67,15 +67,15 @@ class _Planes(threading.local):
 _planes = _Planes()
 
 
-def search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[SearchLevel]:
-    """The lattices of a picture (8 bits), coarse to fine.
+def search_levels(image: UInt8[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[SearchLevel]:
+    """The lattices of an image (8 bits), coarse to fine.
 
     Most boards are found at the first level, at a fraction of the cost of the last. ``size`` is the board's corners along
     the longer and the shorter side, None if it is not known. Where it is, and corners were linked but nobody stopped the
-    search, the picture about them follows, stretched in eight directions.
+    search, the image about them follows, stretched in eight directions.
     """
-    halvings = max(0, int(np.floor(np.log2(max(picture.shape) / COARSEST_PX))))
-    pyramid = [picture]
+    halvings = max(0, int(np.floor(np.log2(max(image.shape) / COARSEST_PX))))
+    pyramid = [image]
     for _ in range(halvings):
         pyramid.append(cv2.resize(pyramid[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
@@ -85,14 +85,14 @@ def search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None) 
         if most_linked < least_linked:
             continue
         if halved < 0:
-            scaled = cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+            scaled = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         else:
             scaled = pyramid[halved]
         # As float32: rounded to grey levels, a blurred corner's curvature drowns.
         exact = _planes.take("exact", halved, scaled.shape)
         smooth, response = (_planes.take(use, index, scaled.shape) for use in ("smooth", "response"))
         np.copyto(exact, scaled)
-        saddles = SaddlePicture.of(cv2.GaussianBlur(exact, (0, 0), sigma, dst=smooth), radius_px, response)
+        saddles = SaddleImage.of(cv2.GaussianBlur(exact, (0, 0), sigma, dst=smooth), radius_px, response)
         corners = find_x_corners(saddles, most=most)
         groups = link_corners(saddles, corners)
         if groups and len(groups[0]) > most_linked:
@@ -103,8 +103,8 @@ def search_levels(picture: UInt8[ndarray, "h w"], size: tuple[int, int] | None) 
     if size is None or most_linked < LEAST_LINKED_TO_STRETCH:
         return
     for angle in np.linspace(0, np.pi, STRETCHES, endpoint=False):
-        stretched, matrix = _stretched(picture, linked, angle)
-        saddles = SaddlePicture.of(cv2.GaussianBlur(stretched, (0, 0), 1.5), 5.0)
+        stretched, matrix = _stretched(image, linked, angle)
+        saddles = SaddleImage.of(cv2.GaussianBlur(stretched, (0, 0), 1.5), 5.0)
         corners = find_x_corners(saddles, most=most)
         groups = link_corners(saddles, corners)
         lattices = find_lattices(saddles, corners, groups, least=least, size=size)
@@ -118,9 +118,9 @@ def _scaling(scale: float) -> Float[ndarray, "2 3"]:
 
 
 def _stretched(
-    picture: UInt8[ndarray, "h w"], linked_px: Float[ndarray, "n 2"], angle: float
+    image: UInt8[ndarray, "h w"], linked_px: Float[ndarray, "n 2"], angle: float
 ) -> tuple[Float32[ndarray, "h w"], Float[ndarray, "2 3"]]:
-    """The picture about some corners, drawn to half its length along a direction and twice across.
+    """The image about some corners, drawn to half its length along a direction and twice across.
 
     There slender rhombi are nearly squares. The corners are a part of a board that may reach thrice as far.
     """
@@ -129,16 +129,16 @@ def _stretched(
     A = 0.5 * np.outer(along, along) + 2.0 * np.outer(across, across)
     reach = np.ptp(linked_px, axis=0).max() + 20
     low = np.maximum(linked_px.min(axis=0) - reach, 0)
-    high = np.minimum(linked_px.max(axis=0) + reach, np.array(picture.shape[::-1]) - 1)
+    high = np.minimum(linked_px.max(axis=0) + reach, np.array(image.shape[::-1]) - 1)
     outline = np.array([low, [high[0], low[1]], [low[0], high[1]], high]) @ A.T
     matrix = np.column_stack([A, -outline.min(axis=0)])
     size = tuple(int(n) for n in np.ceil(np.ptp(outline, axis=0)) + 1)
-    drawn = cv2.warpAffine(picture.astype(np.float32), matrix, size, borderMode=cv2.BORDER_REPLICATE)
+    drawn = cv2.warpAffine(image.astype(np.float32), matrix, size, borderMode=cv2.BORDER_REPLICATE)
     return drawn, matrix
 
 
 def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
-    """The searches in order: halvings of the picture, smoothing and ring radius in pixels of the halved picture.
+    """The searches in order: halvings of the image, smoothing and ring radius in pixels of the halved image.
 
     The last number is how many linked corners earlier searches must have seen: chance seldom links more than six, and the
     dear searches only help where squares are small, blurred or noisy, but seen in part.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.kernels import pictures
+from binocal.kernels import images
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, UInt8
@@ -27,7 +27,7 @@ MAX_UNLIKENESS = 0.35
 
 @dataclass(frozen=True, slots=True, eq=False)
 class XCorners:
-    """Candidate X-corners of one picture.
+    """Candidate X-corners of one image.
 
     ``rays_rad`` are the four edge directions in rising angle (x towards y, so clockwise on the screen); the first has
     its bright sector after it (at larger angles), the second before it, and so on in turn. ``contrast_dn`` is bright
@@ -43,8 +43,8 @@ class XCorners:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SaddlePicture:
-    """A smoothed picture (0..255) with its saddle response, to be read on rings of ``radius_px``."""
+class SaddleImage:
+    """A smoothed image (0..255) with its saddle response, to be read on rings of ``radius_px``."""
 
     smooth: Float32[ndarray, "h w"]
     response: Float32[ndarray, "h w"]
@@ -53,31 +53,31 @@ class SaddlePicture:
     @staticmethod
     def of(
         smooth: Float32[ndarray, "h w"], radius_px: float, response: Float32[ndarray, "h w"] | None = None
-    ) -> SaddlePicture:
-        """The picture with its response, which is written into ``response`` if given."""
-        return SaddlePicture(smooth, pictures.saddle_response(smooth, response), radius_px)
+    ) -> SaddleImage:
+        """The image with its response, which is written into ``response`` if given."""
+        return SaddleImage(smooth, images.saddle_response(smooth, response), radius_px)
 
 
-def find_x_corners(saddles: SaddlePicture, *, most: int = 1200) -> XCorners:
-    """X-corners of a smoothed grey picture, read on rings. The ``most`` strongest saddles are tried."""
+def find_x_corners(saddles: SaddleImage, *, most: int = 1200) -> XCorners:
+    """X-corners of a smoothed grey image, read on rings. The ``most`` strongest saddles are tried."""
     response, radius_px = saddles.response, saddles.radius_px
     # A saddle of contrast c blurred by about s px has a response of about (c / 2 / s^2 / 3)^2. Corners cover a few
-    # hundredths of a picture at most, and peak far above what a tenth of its pixels reach.
+    # hundredths of an image at most, and peak far above what a tenth of its pixels reach.
     sparse = response[::8, ::8].ravel()
     ranks = (int(0.9 * sparse.size), max(0, int(sparse.size * (1 - 40 * most / response.size))))
     tenth, enough = (float(value) for value in np.partition(sparse, ranks)[list(ranks)])
     least = max((MIN_CONTRAST_DN / (3 * radius_px)) ** 2, 0.5 * tenth)
     reach, margin = max(1, round(0.6 * radius_px)), int(np.ceil(radius_px)) + 1
     # Where noise has more peaks than are wanted, most are skipped by what only so many pixels reach.
-    points = pictures.find_peaks(response, reach, margin, max(least, enough), most)
+    points = images.find_peaks(response, reach, margin, max(least, enough), most)
     if len(points) < most and enough > least:
-        points = pictures.find_peaks(response, reach, margin, least, most)
+        points = images.find_peaks(response, reach, margin, least, most)
     is_corner, rays, contrast = read_rings(saddles.smooth, points, radius_px)
     return XCorners(points[is_corner], rays[is_corner], contrast[is_corner])
 
 
 def localize_saddles(
-    picture: UInt8[ndarray, "h w"], points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"]
+    image: UInt8[ndarray, "h w"], points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"]
 ) -> Float[ndarray, "n 2"]:
     """Points moved to the saddle of the quadratic that fits the grey levels around them best, to about 0.1 px.
 
@@ -90,7 +90,7 @@ def localize_saddles(
         return points
     reach = int(np.clip(np.sort(spacing_px[index])[len(index) // 5] / 3, 2, 8))
     fit = _quadratic_fit(reach)
-    points[index] = pictures.localize_saddles(picture, points[index], fit, reach)
+    points[index] = images.localize_saddles(image, points[index], fit, reach)
     return points
 
 
@@ -113,7 +113,7 @@ def read_rings(
     max_unlikeness: float = MAX_UNLIKENESS,
 ) -> tuple[Bool[ndarray, "n"], Float[ndarray, "n 4"], Float[ndarray, "n"]]:
     """Which points are X-corners, their edge directions, and their contrast; see :class:`XCorners`."""
-    return pictures.read_rings(smooth, points_px, radius_px, min_contrast_dn, max_unlikeness)
+    return images.read_rings(smooth, points_px, radius_px, min_contrast_dn, max_unlikeness)
 
 
 def _wrap(angle: ndarray) -> ndarray:

@@ -1,4 +1,4 @@
-"""Measured board points of both cameras, view by view: where the pictures end and the geometry begins."""
+"""Measured board points of both cameras, view by view: where the images end and the geometry begins."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def read_opencv(
 ) -> StereoRig:
     """The rig of an OpenCV file, or of a folder (or either file) of the two-file layout.
 
-    What the file does not say must be said here: ``size_wh``, the pictures' size; ``unit`` of T (m, cm, mm, in, board
+    What the file does not say must be said here: ``size_wh``, the images' size; ``unit`` of T (m, cm, mm, in, board
     pitch; metres if nobody says); ``is_fisheye`` for four coefficients of ``cv2.fisheye``. The arguments win over the
     file.
 
@@ -205,7 +205,7 @@ def suspicions(rig: StereoRig, stored: Mapping[str, ndarray], unit_m: float = 1.
     if rig.is_swapped:
         found.append(
             "T points to the left (T.x > 0): left and right cameras are exchanged; "
-            "swap the pictures or the file's cameras."
+            "swap the images or the file's cameras."
         )
     if rig.is_metric and not 0.01 <= rig.baseline_m <= 5:
         found.append(
@@ -216,12 +216,12 @@ def suspicions(rig: StereoRig, stored: Mapping[str, ndarray], unit_m: float = 1.
         width, height = camera.size_wh
         if not all(0.2 * width <= f <= 10 * width for f in (fx, fy)):
             found.append(
-                f"the {side} focal lengths {fx:.6g}, {fy:.6g} px are unlikely for pictures {width} px wide: "
+                f"the {side} focal lengths {fx:.6g}, {fy:.6g} px are unlikely for images {width} px wide: "
                 "wrong image size?"
             )
         if not (0 <= cx < width and 0 <= cy < height):
             found.append(
-                f"the {side} principal point ({cx:.6g}, {cy:.6g}) is outside the {width}x{height} picture: "
+                f"the {side} principal point ({cx:.6g}, {cy:.6g}) is outside the {width}x{height} image: "
                 "wrong image size?"
             )
         if skew != 0:

@@ -28,9 +28,9 @@ UNITS = {True: "m", False: "board pitch"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What a simulation knows of its pictures: the rig, the board, and where the board stood in every view.
+    """What a simulation knows of its images: the rig, the board, and where the board stood in every view.
 
-    ``noise_dn`` (grey levels) and ``blur_px`` say how the pictures were rendered; NaN where there are none.
+    ``noise_dn`` (grey levels) and ``blur_px`` say how the images were rendered; NaN where there are none.
     """
 
     rig: StereoRig

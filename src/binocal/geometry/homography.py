@@ -1,4 +1,4 @@
-"""Homographies from a plane to many pictures at once: weighted DLT in closed form, and a robust fit over it.
+"""Homographies from a plane to many images at once: weighted DLT in closed form, and a robust fit over it.
 
 The normal equations of the DLT depend on the corners through 24 sums per view, so a fit costs one matrix product;
 eliminating the first two rows of H leaves a 3x3 problem, so no per-view eigendecomposition is needed. The third row
@@ -189,7 +189,7 @@ class HomographyFit:
     ``H`` takes board coordinates (x, y, 1) to pixels, NaN where ``status`` is not GOOD (0); TOO_FEW, COINCIDENT,
     COLLINEAR and UNFIT tell why. ``residuals_px`` are distances (NaN = not seen), ``weights`` in [0, 1] what the
     robust fit gave each corner (0 = not seen), ``sigma_px`` the robust standard deviation of one coordinate; lens
-    distortion counts as noise here. ``px_per_unit``: RMS radius of the seen corners in the picture over that on the
+    distortion counts as noise here. ``px_per_unit``: RMS radius of the seen corners in the image over that on the
     board.
     """
 

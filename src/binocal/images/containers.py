@@ -1,4 +1,4 @@
-"""Is a picture file whole? The container's structure, walked without decoding a pixel.
+"""Is an image file whole? The container's structure, walked without decoding a pixel.
 
 Sources: PNG specification (ISO/IEC 15948) section 5, JPEG (ITU-T T.81) annex B, TIFF 6.0 section 2, BITMAPINFOHEADER,
 Netpbm.

@@ -1,4 +1,4 @@
-"""Grey PNG files, written without an imaging library: what a simulation's pictures need and no more."""
+"""Grey PNG files, written without an imaging library: what a simulation's images need and no more."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ COMPRESSION_LEVEL = 1  # sensor noise does not compress: level 6 is 4 times slow
 
 
 def encode_png(image: UInt[ndarray, "h w"]) -> bytes:
-    """PNG file of a grey picture, uint8 or uint16. Source: PNG specification (ISO/IEC 15948), filter type 2 ("up").
+    """PNG file of a grey image, uint8 or uint16. Source: PNG specification (ISO/IEC 15948), filter type 2 ("up").
 
     Raises:
-        ValueError: The picture is not (rows, columns) of uint8 or uint16.
+        ValueError: The image is not (rows, columns) of uint8 or uint16.
     """
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
-        raise ValueError(f"a grey picture is (rows, columns) of uint8 or uint16; got {image.shape} {image.dtype}")
+        raise ValueError(f"a grey image is (rows, columns) of uint8 or uint16; got {image.shape} {image.dtype}")
     height, width = image.shape
     rows = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder(">")).view(np.uint8).reshape(height, -1)
     filtered = np.empty((height, rows.shape[1] + 1), dtype=np.uint8)

@@ -1,6 +1,6 @@
-"""Reading pictures strictly: a file is a whole picture of a supported kind, or a named error.
+"""Reading images strictly: a file is a whole image of a supported kind, or a named error.
 
-Decoders are forgiving where a calibration must not be: a truncated JPEG decodes to a picture whose lower half is grey.
+Decoders are forgiving where a calibration must not be: a truncated JPEG decodes to an image whose lower half is grey.
 So the container's own structure is walked first (:mod:`binocal.images.containers`), and only then is it decoded.
 """
 
@@ -23,57 +23,57 @@ from binocal.images.containers import identify_container, structure_problem
 if TYPE_CHECKING:
     from jaxtyping import UInt8, UInt16
 
-    Picture = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"] | UInt8[ndarray, "h w 3"] | UInt16[ndarray, "h w 3"]
-    GreyPicture = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"]
+    Image = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"] | UInt8[ndarray, "h w 3"] | UInt16[ndarray, "h w 3"]
+    GreyImage = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"]
 
 _REMEDY = "export it as 8- or 16-bit PNG, TIFF, JPEG or BMP"
 
 
-def read_picture(path: str | PathLike[str]) -> Picture:
+def read_image(path: str | PathLike[str]) -> Image:
     """The pixels of a PNG, JPEG, TIFF, BMP or PNM file as the sensor wrote them.
 
-    Grey pictures are (h, w), colour ones (h, w, 3) in OpenCV's blue-green-red order; uint8 or uint16. Transparency is
+    Grey images are (h, w), colour ones (h, w, 3) in OpenCV's blue-green-red order; uint8 or uint16. Transparency is
     dropped. An EXIF orientation is ignored on purpose: a calibration belongs to the sensor's pixels, not to their
     display.
 
     Raises:
-        FormatError: The file is missing, empty, truncated, no picture, or of an unsupported depth; the text says which.
+        FormatError: The file is missing, empty, truncated, no image, or of an unsupported depth; the text says which.
     """
     return _decode(Path(path), _read_bytes(Path(path)), as_grey=False)
 
 
-def read_grey_picture(path: str | PathLike[str]) -> GreyPicture:
-    """As :func:`read_picture`, then :func:`to_grey`; a colour JPEG's own luma is taken, which is faster and as good.
+def read_grey_image(path: str | PathLike[str]) -> GreyImage:
+    """As :func:`read_image`, then :func:`to_grey`; a colour JPEG's own luma is taken, which is faster and as good.
 
     Raises:
-        FormatError: As in :func:`read_picture`.
+        FormatError: As in :func:`read_image`.
     """
     return to_grey(_decode(Path(path), _read_bytes(Path(path)), as_grey=True))
 
 
-def read_hashed_grey_picture(path: str | PathLike[str]) -> tuple[GreyPicture, str]:
-    """As :func:`read_grey_picture`, and the SHA-256 of the file, which is read once for both.
+def read_hashed_grey_image(path: str | PathLike[str]) -> tuple[GreyImage, str]:
+    """As :func:`read_grey_image`, and the SHA-256 of the file, which is read once for both.
 
     Raises:
-        FormatError: As in :func:`read_picture`.
+        FormatError: As in :func:`read_image`.
     """
     content = _read_bytes(Path(path))
     return to_grey(_decode(Path(path), content, as_grey=True)), hashlib.sha256(content).hexdigest()
 
 
-def to_grey(image: Picture) -> GreyPicture:
-    """Luma of a picture (h, w) or (h, w, 3) or (h, w, 4), blue-green-red order, in its own depth (uint8 or uint16).
+def to_grey(image: Image) -> GreyImage:
+    """Luma of an image (h, w) or (h, w, 3) or (h, w, 4), blue-green-red order, in its own depth (uint8 or uint16).
 
     Raises:
-        ValueError: The shape or the depth is not a picture's.
+        ValueError: The shape or the depth is not an image's.
     """
     image = np.asarray(image)
     if image.dtype not in (np.uint8, np.uint16):
-        raise ValueError(f"a picture is uint8 or uint16; got {image.dtype}")
+        raise ValueError(f"an image is uint8 or uint16; got {image.dtype}")
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (3, 4)) or 0 in image.shape:
-        raise ValueError(f"a picture is (h, w) or (h, w, 3); got {image.shape}")
+        raise ValueError(f"an image is (h, w) or (h, w, 3); got {image.shape}")
     if image.ndim == 2:
         return image
     import cv2
@@ -86,10 +86,10 @@ def _decode(path: Path, content: bytes, *, as_grey: bool) -> ndarray:
 
     container = identify_container(content)
     if container is None:
-        raise FormatError(path, f"is not a picture{_describe_content(content)}; {_REMEDY}")
+        raise FormatError(path, f"is not an image{_describe_content(content)}; {_REMEDY}")
     problem = structure_problem(content, container)
     if problem:
-        raise FormatError(path, f"{problem}; copy or record the picture again")
+        raise FormatError(path, f"{problem}; copy or record the image again")
     flags = cv2.IMREAD_UNCHANGED
     if as_grey and container == "JPEG":
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
@@ -113,11 +113,11 @@ def _read_bytes(path: Path) -> bytes:
     except FileNotFoundError:
         raise FormatError(path, "there is no such file; check the name") from None
     except IsADirectoryError:
-        raise FormatError(path, "is a folder, not a picture; name the pictures in it, such as left*.png") from None
+        raise FormatError(path, "is a folder, not an image; name the images in it, such as left*.png") from None
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     if not content:
-        raise FormatError(path, "is an empty file; copy or record the picture again")
+        raise FormatError(path, "is an empty file; copy or record the image again")
     return content
 
 

@@ -1,6 +1,6 @@
 """What is wrong with the views, by name: repaired where that is certain, else rejected, or the whole set refused.
 
-Order of the checks: each camera's corners (inside the picture, on a grid, spread), the resolution of left against
+Order of the checks: each camera's corners (inside the image, on a grid, spread), the resolution of left against
 right, each camera's geometry (degenerate sets), then the two cameras against each other (corner order, shifts,
 pairing), and last the rig as a whole. Thresholds compare with what the data itself shows (robust medians,
 covariances), never with one kind of rig.
@@ -79,7 +79,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     """Check the views, repair or reject the bad ones, and start cameras, T_right_left and board poses in closed form.
 
     Raises:
-        DataError: Corners lie outside the picture, or at another resolution than it.
+        DataError: Corners lie outside the image, or at another resolution than it.
         InconsistentViewsError: Corner order, board size or pairing are wrong in most views.
         DegenerateGeometryError: The views leave the intrinsics undetermined.
         TooFewViewsError: Fewer than 3 pairs remain; ``rejected`` says why.
@@ -180,7 +180,7 @@ def _without(fit: HomographyFit, dropped: Bool[ndarray, "views"]) -> HomographyF
 
 
 def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: HomographyFit, names: tuple[str, ...]) -> None:
-    """Corners that fit their board, yet lie outside the picture, betray a wrong image size (outliers do not fit)."""
+    """Corners that fit their board, yet lie outside the image, betray a wrong image size (outliers do not fit)."""
     width, height = size
     slack = np.maximum(_OUTSIDE_PX, 3 * np.nan_to_num(fit.sigma_px))[:, None]
     trusted = fit.weights > 0.5
@@ -195,12 +195,12 @@ def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: Homograp
     view, corner = np.unravel_index(int(np.argmax(np.where(outside, beyond, -np.inf))), outside.shape)
     x, y = px[view, corner]
     inside = px[trusted & (np.min(px, axis=-1, where=np.isfinite(px), initial=np.inf) > -0.5 - _OUTSIDE_PX)]
-    hint = "give the size of the picture in which the corners were found"
+    hint = "give the size of the image in which the corners were found"
     if len(inside) == trusted.sum() and np.all(inside <= np.array([height, width]) + _OUTSIDE_PX):
         hint = f"the image size looks swapped: give {height}x{width}"
     raise DataError(
         f"{camera} view {names[view]}, corner {corner} at ({x:.1f}, {y:.1f}) px lies outside the {width}x{height} "
-        "picture "
+        "image "
         f"({int(outside.sum())} such corners in {int(outside.any(axis=1).sum())} views); {hint}."
     )
 
@@ -217,7 +217,7 @@ def _spacing_px(points: ndarray, fit: HomographyFit) -> Float[ndarray, "views"]:
 def _check_grid(
     camera: str, points: ndarray, px: ndarray, fit: HomographyFit, names: tuple[str, ...], reasons: dict[int, str]
 ) -> None:
-    """Views whose corners are no picture of the board; refuses the set where nearly all are, and tries to say why."""
+    """Views whose corners are no image of the board; refuses the set where nearly all are, and tries to say why."""
     n_seen = np.isfinite(px[..., 0]).sum(axis=1)
     with np.errstate(all="ignore"):
         off_grid = (fit.status == UNFIT) | (
@@ -295,7 +295,7 @@ def _check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> N
 
 
 def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
-    """A warning, or "", on too large a picture size: principal point off the middle, no corner beyond twice that."""
+    """A warning, or "", on too large an image size: principal point off the middle, no corner beyond twice that."""
     width, height = initial.size_wh
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     principal = initial.parameters[2:4]
@@ -303,20 +303,20 @@ def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
     far = np.array([np.max(px[..., k], where=initial.weights > 0.5, initial=0.0) for k in range(2)])
     offset = centre - principal
     implied = 2 * principal + 1
-    if not np.all(far < 1.12 * implied):  # lenses sit a few percent off the middle of their own picture too
+    if not np.all(far < 1.12 * implied):  # lenses sit a few percent off the middle of their own image too
         return ""
     if np.all(offset > 0.15 * np.array([width, height])) and np.all(offset > 6 * sigma):
         raise DataError(
             f"the {camera} corners fill only the first {far[0]:.0f}x{far[1]:.0f} px of a {width}x{height} "
-            "picture, and the principal "
+            "image, and the principal "
             f"point ({principal[0]:.0f}, {principal[1]:.0f}) is far from its middle: the image size looks wrong, about "
-            f"{implied[0]:.0f}x{implied[1]:.0f} would fit; give the size of the picture in which the corners were "
+            f"{implied[0]:.0f}x{implied[1]:.0f} would fit; give the size of the image in which the corners were "
             "found."
         )
     if np.any((offset > 0.1 * np.array([width, height])) & (offset > 6 * sigma)):
         return (
             f"the {camera} principal point ({principal[0]:.0f}, {principal[1]:.0f}) is far from the middle of the "
-            f"{width}x{height} picture "
+            f"{width}x{height} image "
             f"and the corners end at ({far[0]:.0f}, {far[1]:.0f}): check the image size; about "
             f"{implied[0]:.0f}x{implied[1]:.0f} would fit."
         )
@@ -327,7 +327,7 @@ def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
 
 
 def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits: list[HomographyFit]) -> None:
-    """One camera's corners at a fraction of its picture: they keep to its first part, and boards look smaller."""
+    """One camera's corners at a fraction of its image: they keep to its first part, and boards look smaller."""
     both = fits[0].is_valid & fits[1].is_valid
     if both.sum() < MIN_VIEWS:
         return
@@ -345,9 +345,9 @@ def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits:
             raise DataError(
                 f"the {name} corners keep to the first {far[k][0] * width:.0f}x{far[k][1] * height:.0f} px of the "
                 f"{width}x{height} "
-                f"picture and the boards look {share:.2f} times as large as in the {other} camera: the {name} "
+                f"image and the boards look {share:.2f} times as large as in the {other} camera: the {name} "
                 "corners are at about "
-                f"{share:.2f} of the picture's resolution; scale them, or give the {name} image size that belongs "
+                f"{share:.2f} of the image's resolution; scale them, or give the {name} image size that belongs "
                 "to them."
             )
 
@@ -437,7 +437,7 @@ def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tup
                     f"{detections.names[k]} matches right view "
                     f"{detections.names[k + shift]} ({int(other.agrees.sum())} of "
                     f"{int(np.sum(other.symmetry >= 0))} pairs "
-                    "agree when moved so); pair the pictures again."
+                    "agree when moved so); pair the images again."
                 )
         if not share >= 0.5 or typical > max(0.02 * diagonal, trusted_px):
             n_agree = int(consensus.agrees.sum())
@@ -497,7 +497,7 @@ def _culprit(view: int, symmetry: int, consensus: Consensus, cameras: list[Initi
     score = []
     for camera in cameras:
         typical = np.mean(camera.poses.R[agreeing & (consensus.symmetry == (symmetry if mostly else 0))], axis=0)
-        # Board axes against the picture's own, or against those of the other views
+        # Board axes against the image's own, or against those of the other views
         score.append(float(np.sum(typical * (np.eye(3) if mostly else camera.poses.R[view]))))
     return 0 if score[0] < score[1] else 1
 

@@ -1,7 +1,7 @@
 """Lens distortion before anything else is known: the radial profile that makes board views projective.
 
 A pixel at (dx, dy) from the distortion centre is lifted to the ray (dx, dy, g), g = 1 + l1 r² + l2 r⁴, lengths in
-half diagonals of the picture. With l1 < 0 this covers barrel distortion and every usual fisheye (equidistant: g = θ /
+half diagonals of the image. With l1 < 0 this covers barrel distortion and every usual fisheye (equidistant: g = θ /
 tan θ, whose series it follows to 1 % at 75°; stereographic: l2 = 0 exactly), rays beyond 90° included (g < 0).
 Neither focal length nor pose enters: the homographies' residual alone decides (Fitzgibbon 2001, "Simultaneous linear
 estimation of multiple view geometry and lens distortion"; two coefficients and the centre are this project's, solved
@@ -120,7 +120,7 @@ def estimate_lifting(
 
 
 def _residuals(parameters: Float[ndarray, "k 4"], frame: PlaneFrame, u: ndarray, v: ndarray, w: ndarray) -> ndarray:
-    """Homography residuals in units of the picture, (k, views, 2, n), weighted."""
+    """Homography residuals in units of the image, (k, views, 2, n), weighted."""
     l1, l2, cx, cy = (parameters[:, i, None, None] for i in range(4))
     dx, dy = u - cx, v - cy
     r2 = dx * dx + dy * dy
@@ -131,7 +131,7 @@ def _residuals(parameters: Float[ndarray, "k 4"], frame: PlaneFrame, u: ndarray,
 def _fit_rays(
     frame: PlaneFrame, dx: ndarray, dy: ndarray, g: ndarray, w: ndarray, l1: Float[ndarray, "*k"], n_passes: int = 2
 ) -> tuple[PlaneFit, ndarray, ndarray, ndarray | None, ndarray, ndarray]:
-    """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-picture scale, and the weights.
+    """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-image scale, and the weights.
 
     Where rays come near the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, after scaling
     g to metric rays by the equidistant guess of the focal length) so that its mean ray is the axis: the homography

@@ -10,7 +10,7 @@ Three views determine five linear parameters, two determine four (no skew), one 
 principal point. The linear solution is then polished by weighting both constraints of a view by their covariance,
 with a robust weight per view.
 
-Coordinates here are pixels relative to the assumed centre, divided by half the picture's diagonal (``unit``).
+Coordinates here are pixels relative to the assumed centre, divided by half the image's diagonal (``unit``).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A start for sets of views in which nothing is wrong, at a tenth of the cost of finding out what is.
 
-Plain homographies of all pictures at once, a focal length for each camera with the principal point held in the middle,
+Plain homographies of all images at once, a focal length for each camera with the principal point held in the middle,
 poses, and the mean of the views' relative poses: rough, and not robust against anything. Whoever uses it must let the
 joint solver prove it (:mod:`binocal.calibrators.lm` does) and go the long way of
 :mod:`binocal.initialization.diagnosis` otherwise.
@@ -23,7 +23,7 @@ from binocal.initialization.poses import decompose
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-MIN_CORNERS = 12  # of every picture; fewer leave a homography too free to prove anything
+MIN_CORNERS = 12  # of every image; fewer leave a homography too free to prove anything
 _OUTSIDE_PX = 2.0
 _FOCAL_RANGE = (0.3, 20.0)  # half diagonals: 150 deg to 6 deg of view
 _MAX_LENS_RESIDUAL = 0.01  # of a half diagonal; a lens that bends straight lines by more needs the long way's profile
@@ -51,7 +51,7 @@ class VerifiedStart:
 def estimate_verified_start(detections: Detections, model: str) -> VerifiedStart | None:
     """A rough start from closed forms alone, or None where the views do not look clean at first sight.
 
-    Every picture must show twelve corners or more, inside the picture, and no lens that bends the board visibly.
+    Every image must show twelve corners or more, inside the image, and no lens that bends the board visibly.
     """
     pixels = np.concatenate([detections.left_px, detections.right_px])
     n_views = detections.n_views
@@ -85,7 +85,7 @@ def estimate_verified_start(detections: Detections, model: str) -> VerifiedStart
     with np.errstate(all="ignore"):
         R, t_centre, _ = decompose(rays, frame.scale)
         t = t_centre - R[..., :2] @ frame.centre
-    if not (np.abs(R).max() < 2 and np.isfinite(t).all()):  # no rotation: a picture whose corners lie on a line
+    if not (np.abs(R).max() < 2 and np.isfinite(t).all()):  # no rotation: an image whose corners lie on a line
         return None
     R_left, t_left, R_right, t_right = R[:n_views], t[:n_views], R[n_views:], t[n_views:]
     relative = R_right @ R_left.swapaxes(-1, -2)

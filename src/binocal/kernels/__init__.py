@@ -1,4 +1,4 @@
-"""The one door to the compiled kernel: the inner loop of the joint solver; pictures enter by :mod:`binocal.kernels.pictures`.
+"""The one door to the compiled kernel: the inner loop of the joint solver; images enter by :mod:`binocal.kernels.images`.
 
 Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
 T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps

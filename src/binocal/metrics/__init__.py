@@ -1,1 +1,1 @@
-"""How good a rig is: against the truth (``pose``), and on pictures that the calibration has not seen (``image``)."""
+"""How good a rig is: against the truth (``pose``), and on images that the calibration has not seen (``image``)."""

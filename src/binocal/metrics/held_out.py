@@ -51,7 +51,7 @@ def criteria_on_exact_views(
 ) -> tuple[Criterion, ...]:
     """Pixel error (eq. 19), rectified row error and relative length error of a rig on exact views.
 
-    The board's pose is fitted with the rig under test, as it would be on pictures. ``bounded`` is the true rig in the
+    The board's pose is fitted with the rig under test, as it would be on images. ``bounded`` is the true rig in the
     estimated camera model, and the bound there.
     """
     values = _figures(rig, exact, T_left_board, side_m)

@@ -73,7 +73,7 @@ def triangulate(
 ) -> tuple[Float[ndarray, "*batch 3"], Bool[ndarray, "*batch"]]:
     """Points in the left frame, metres, that minimise the squared distances to both measured pixels; and which exist.
 
-    The maximum-likelihood point for equal, independent Gaussian noise in both pictures: mid-point of the two rays, then
+    The maximum-likelihood point for equal, independent Gaussian noise in both images: mid-point of the two rays, then
     Gauss-Newton on the four pixel residuals through the full camera models, each step kept only where it lowers the
     cost. A point is invalid (NaN) where a pixel is NaN or has no ray, the rays are parallel within 1e-9, or they meet
     behind a camera. Source: Hartley & Sturm 1997, "Triangulation"; the iterative form, because lenses distort.
@@ -124,7 +124,7 @@ def pixel_error(rig: StereoRig, detections: Detections, T_left_board: SE3) -> Pi
 
 
 def rectified_row_error(rig: StereoRig, detections: Detections) -> RowError:
-    """RMS distance, pixels of the rectified pictures, between the rows on which matching corners lie.
+    """RMS distance, pixels of the rectified images, between the rows on which matching corners lie.
 
     No board, pose or triangulation enters: only rotation, direction of the baseline and lenses.
 

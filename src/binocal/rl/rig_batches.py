@@ -41,7 +41,7 @@ MAX_START_DRAWS = 60  # a start with a board behind the right camera is drawn ag
 
 @dataclass(frozen=True, slots=True)
 class CaseOptions:
-    """A distribution of rigs, pictures and starts. Ranges are uniform unless said otherwise."""
+    """A distribution of rigs, images and starts. Ranges are uniform unless said otherwise."""
 
     board: str = "chessboard:11x8:20mm"
     n_views: int = 20
@@ -105,7 +105,7 @@ class Cases:
     whitening: Float[ndarray, "rigs 6 6"]
     noise_px: Float[ndarray, "rigs"]
     lowest: LowestCost | None = None
-    """What rewards look at in place of the optimum where the truth is unknown: real pictures."""
+    """What rewards look at in place of the optimum where the truth is unknown: real images."""
 
     @property
     def n_rigs(self) -> int:

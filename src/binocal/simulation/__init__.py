@@ -1,4 +1,4 @@
-"""Simulator: rigs, board poses, corners with every kind of fault, and rendered pictures, all with exact truth."""
+"""Simulator: rigs, board poses, corners with every kind of fault, and rendered images, all with exact truth."""
 
 from binocal.simulation.corruptions import (
     drop_view,
@@ -18,7 +18,7 @@ from binocal.simulation.corruptions import (
 )
 from binocal.simulation.layout import printed_extent_m
 from binocal.simulation.noise import add_outliers, drop_corners, simulate_detections
-from binocal.simulation.renderer import RenderedPicture, RenderOptions, render_light, render_picture
+from binocal.simulation.renderer import RenderedImage, RenderOptions, render_image, render_light
 from binocal.simulation.rigs import random_rig, table2_rig
 from binocal.simulation.scenes import (
     PoseOptions,
@@ -33,7 +33,7 @@ from binocal.simulation.visibility import visible_px
 __all__ = [
     "PoseOptions",
     "RenderOptions",
-    "RenderedPicture",
+    "RenderedImage",
     "StereoScene",
     "add_outliers",
     "drop_corners",
@@ -47,8 +47,8 @@ __all__ = [
     "mismatch_pair",
     "printed_extent_m",
     "random_rig",
+    "render_image",
     "render_light",
-    "render_picture",
     "repeat_view",
     "same_pose",
     "sample_board_poses",

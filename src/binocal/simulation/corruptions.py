@@ -55,7 +55,7 @@ def flip_all_left(detections: Detections) -> Detections:
 
 
 def mismatch_pair(detections: Detections, view: int, other: int, *, side: Side = "right") -> Detections:
-    """Pairs a view with the picture that one camera took at another view.
+    """Pairs a view with the image that one camera took at another view.
 
     Raises:
         ValueError: Both are the same view.
@@ -66,7 +66,7 @@ def mismatch_pair(detections: Detections, view: int, other: int, *, side: Side =
 
 
 def shift_all_pairs(detections: Detections, by: int = 1) -> Detections:
-    """Pairs every left picture with the right picture ``by`` views later (the last ones with the first)."""
+    """Pairs every left image with the right image ``by`` views later (the last ones with the first)."""
     return replace(detections, right_px=np.roll(detections.right_px, -by, axis=0))
 
 
@@ -88,7 +88,7 @@ def exchange_columns_and_rows(detections: Detections, board: Board) -> Detection
 
 
 def halve_right_resolution(detections: Detections) -> Detections:
-    """Right corners measured in pictures reduced to half, while the stated size stays the full one."""
+    """Right corners measured in images reduced to half, while the stated size stays the full one."""
     return replace(detections, right_px=(detections.right_px + 0.5) / 2 - 0.5)
 
 

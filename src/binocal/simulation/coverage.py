@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprint:
-    """Where points of the picture lie on the board: x, y (pitches), derivatives by u, v; they broadcast."""
+    """Where points of the image lie on the board: x, y (pitches), derivatives by u, v; they broadcast."""
 
     x: ndarray
     y: ndarray

@@ -8,7 +8,7 @@ needs. Conventions, each held against OpenCV or Kalibr by a test:
   white.
 - AprilGrid: Kalibr's sheet: tags with ``border_bits`` (Kalibr: 2) cells of black around 6 x 6 data cells, all
   within ``pitch_m``; black squares as wide as the gap at the tags' corners; ids grow to the right and upward from
-  the bottom-left tag; tags upright as in the AprilTag project's own pictures. OpenCV's ``DICT_APRILTAG_36h11``
+  the bottom-left tag; tags upright as in the AprilTag project's own images. OpenCV's ``DICT_APRILTAG_36h11``
   holds them turned by 180° in 4.x and 5.0.
 - circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours.
 """

@@ -28,7 +28,7 @@ def simulate_detections(
 
     ``noise_px`` is the standard deviation of each coordinate (Gaussian, independent). ``outlier_share`` of the seen
     corners of each camera are moved by ``outlier_px`` in a random direction; ``missing_share`` of them are NaN.
-    Points outside a picture are NaN. The same generator state draws the same noise whatever the shares are.
+    Points outside an image are NaN. The same generator state draws the same noise whatever the shares are.
 
     Raises:
         ValueError: A share is outside [0, 1], or a standard deviation is negative.

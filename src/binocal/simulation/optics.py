@@ -37,19 +37,19 @@ def blur_kernel(blur_px: float, kind: str, motion_px: tuple[float, float], *, le
     return BlurKernel(gaussian, disc, (float(motion_px[0]), float(motion_px[1])))
 
 
-def blur_picture(picture: Float[ndarray, "h w"], kernel: BlurKernel, *, scale: int) -> Float[ndarray, "h w"]:
-    """The picture, sampled ``scale`` times per pixel, after the blur. Edges repeat outward."""
+def blur_image(image: Float[ndarray, "h w"], kernel: BlurKernel, *, scale: int) -> Float[ndarray, "h w"]:
+    """The image, sampled ``scale`` times per pixel, after the blur. Edges repeat outward."""
     import cv2
 
     if kernel.gaussian_px > 0:
         sigma = kernel.gaussian_px * scale
         taps = 2 * int(np.ceil(4.5 * sigma)) + 1
-        picture = cv2.GaussianBlur(picture, (taps, taps), sigma, borderType=cv2.BORDER_REPLICATE)
+        image = cv2.GaussianBlur(image, (taps, taps), sigma, borderType=cv2.BORDER_REPLICATE)
     if kernel.disc_px > 0:
-        picture = cv2.filter2D(picture, -1, _disc(kernel.disc_px * scale), borderType=cv2.BORDER_REPLICATE)
+        image = cv2.filter2D(image, -1, _disc(kernel.disc_px * scale), borderType=cv2.BORDER_REPLICATE)
     if any(kernel.motion_px):
-        picture = cv2.filter2D(picture, -1, _line(np.array(kernel.motion_px) * scale), borderType=cv2.BORDER_REPLICATE)
-    return picture
+        image = cv2.filter2D(image, -1, _line(np.array(kernel.motion_px) * scale), borderType=cv2.BORDER_REPLICATE)
+    return image
 
 
 def _disc(radius: float) -> Float[ndarray, "k k"]:

@@ -1,4 +1,4 @@
-"""Pictures of boards with exactly known corners.
+"""Images of boards with exactly known corners.
 
 Light is followed in the order in which a camera meets it: print and illumination, the lens's blur, integration over
 pixels, the sensor. The blur is applied on a grid of 4 x 4 points per pixel; blurring pixel values instead would
@@ -27,7 +27,7 @@ from binocal.geometry import SE3
 from binocal.simulation.background import draw_background
 from binocal.simulation.coverage import Footprint, Sheet, sheet_of
 from binocal.simulation.layout import printed_extent_m, sheet_margin
-from binocal.simulation.optics import blur_kernel, blur_picture
+from binocal.simulation.optics import blur_image, blur_kernel
 from binocal.simulation.visibility import field_angle_rad, visible_px
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _OFFSETS_PX = (np.arange(_FINE) + 0.5) / _FINE - 0.5
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """Light, lens and sensor. Grey levels are those of an 8-bit picture (0-255) whatever the bit depth."""
+    """Light, lens and sensor. Grey levels are those of an 8-bit image (0-255) whatever the bit depth."""
 
     blur_px: float = 0.8
     """Gaussian: standard deviation, at least 0.14 px (less is rendered as 0.14: no lens is sharper).
@@ -58,7 +58,7 @@ class RenderOptions:
     shading: tuple[float, float] = (0.0, 0.0)
     """Change of the light across the print, along the board's x and y, as a share of its value in the middle."""
     vignetting: float = 0.0
-    """Share of the light that is lost in the picture's corner; grows with the square of the radius."""
+    """Share of the light that is lost in the image's corner; grows with the square of the radius."""
     gamma: float = 1.0
     """Encoding: grey = 255 (light / 255)^(1 / gamma); 2.2 for a consumer camera."""
     clutter_dn: float = 35.0
@@ -83,8 +83,8 @@ class RenderOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RenderedPicture:
-    """A picture and the truth about it: ``corners_px`` in the board's order, NaN where outside the picture.
+class RenderedImage:
+    """An image and the truth about it: ``corners_px`` in the board's order, NaN where outside the image.
 
     For circles the truth is the projected centre, not the centroid of the ellipse.
     """
@@ -93,10 +93,10 @@ class RenderedPicture:
     corners_px: Float[ndarray, "n 2"]
 
 
-def render_picture(
+def render_image(
     camera: Camera, T_camera_board: SE3, board: Board, options: RenderOptions, rng: np.random.Generator
-) -> RenderedPicture:
-    """A picture of the board. The rays of the last two cameras are kept for the next pictures.
+) -> RenderedImage:
+    """An image of the board. The rays of the last two cameras are kept for the next images.
 
     Raises:
         ValueError: The camera looks at the back of the board, or the board cannot be printed.
@@ -108,7 +108,7 @@ def render_picture(
         light = light + np.float32(options.noise_dn) * rng.standard_normal(light.shape, dtype=np.float32)
     scale, dtype = (257, np.uint16) if options.bit_depth == 16 else (1, np.uint8)
     image = np.rint(np.clip(light * scale, 0, 255 * scale)).astype(dtype)
-    return RenderedPicture(image, visible_px(camera, T_camera_board.apply(board.object_points_m)))
+    return RenderedImage(image, visible_px(camera, T_camera_board.apply(board.object_points_m)))
 
 
 def render_light(
@@ -128,7 +128,7 @@ def render_light(
     rest = kernel.without(_SPREAD_PX**2 - 1 / (12 * _FINE**2))
     apron = 8 * (kernel.reach_px // 8 + 1)  # steps of 8, so that the rays serve other blurs too
     rays = _cached_rays(camera.model, camera.size_wh, camera.parameters.tobytes(), apron)
-    light = blur_picture(
+    light = blur_image(
         draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn), kernel, scale=1
     )
     window = _sheet_window(camera, T_camera_board, board, apron, kernel.reach_px)
@@ -137,13 +137,13 @@ def render_light(
         patch = rays[:, rows.start - 1 : rows.stop + 1, columns.start - 1 : columns.stop + 1]
         sheet = _cached_sheet(board, options.is_legacy_charuco, options.april_border_bits)
         board_light, coverage = _sample_board(patch, T_camera_board, board, sheet, options)
-        board_light = blur_picture(board_light, rest, scale=_FINE)
+        board_light = blur_image(board_light, rest, scale=_FINE)
         height, width = coverage.shape
         import cv2
 
         board_light = cv2.resize(board_light, (width, height), interpolation=cv2.INTER_AREA)
-        coverage = blur_picture(coverage, kernel, scale=1)
-        # the apron is the part of the scene beyond the picture that the blur carries in
+        coverage = blur_image(coverage, kernel, scale=1)
+        # the apron is the part of the scene beyond the image that the blur carries in
         first_row, first_column = rows.start - 1 - apron, columns.start - 1 - apron
         inside = np.s_[
             max(-first_row, 0) : camera.size_wh[1] - first_row, max(-first_column, 0) : camera.size_wh[0] - first_column
@@ -159,7 +159,7 @@ def render_light(
 
 @lru_cache(maxsize=2)  # a stereo pair; 30 MB each at 1280 x 960
 def _cached_rays(model: str, size_wh: tuple[int, int], parameters: bytes, apron: int) -> Float[ndarray, "3 h w"]:
-    """Unit ray of every pixel and of ``apron`` + 1 pixels around the picture; NaN where there is none."""
+    """Unit ray of every pixel and of ``apron`` + 1 pixels around the image; NaN where there is none."""
     camera = Camera(model, size_wh, np.frombuffer(parameters))
     width, height = size_wh
     rim = apron + 1
@@ -180,7 +180,7 @@ def _cached_sheet(board: Board, is_legacy_charuco: bool, april_border_bits: int)
 def _sheet_window(
     camera: Camera, T_camera_board: SE3, board: Board, apron: int, reach_px: int
 ) -> tuple[slice, slice] | None:
-    """Rows and columns of the ray map around the sheet, blur included; None where it lies outside the picture.
+    """Rows and columns of the ray map around the sheet, blur included; None where it lies outside the image.
 
     The whole map where the outline leaves the camera's field and cannot be followed.
     """

@@ -9,7 +9,7 @@ from binocal.errors import SceneError
 from binocal.geometry import SE3, so3
 
 _SIZES_WH = ((640, 480), (752, 480), (1280, 720), (1280, 960), (1280, 1024))
-_MAX_TRIES = 200  # a draw whose distortion folds back inside the picture is drawn again
+_MAX_TRIES = 200  # a draw whose distortion folds back inside the image is drawn again
 
 
 def table2_rig() -> StereoRig:
@@ -38,8 +38,8 @@ def random_rig(
 
     Horizontal field ``field_deg``: 35-75° (Brown-Conrady) or 100-150° (fisheye4) unless given; baseline 50-150 mm;
     rotation 1.5° (one sigma) about each axis; focal lengths within 1 %, principal points 1.5 % of the width (one
-    sigma) off centre. Distortion moves the corner of the picture by up to 12 % of its radius and never folds back
-    inside the picture.
+    sigma) off centre. Distortion moves the corner of the image by up to 12 % of its radius and never folds back
+    inside the image.
 
     Raises:
         ValueError: Unknown model, or a field outside 10-100° (Brown-Conrady) or 60-170° (fisheye4).
@@ -79,15 +79,15 @@ def _random_camera(
         radius = np.hypot(max(cx, width - 1 - cx) / fx, max(cy, height - 1 - cy) / fy)
         distortion = _random_distortion(rng, model, radius)
         camera = Camera(model, size_wh, np.r_[fx, fy, cx, cy, skew, distortion])
-        if _covers_picture(camera):
+        if _covers_image(camera):
             return camera
     raise SceneError(
-        f"{model} with a field of {np.degrees(field_rad):.0f} deg always folds back inside the picture", 0, 1
+        f"{model} with a field of {np.degrees(field_rad):.0f} deg always folds back inside the image", 0, 1
     )
 
 
 def _random_distortion(rng: np.random.Generator, model: str, radius: float) -> np.ndarray:
-    """Coefficients scaled by ``radius``, the normalised radius (fisheye: angle) of the picture's farthest corner."""
+    """Coefficients scaled by ``radius``, the normalised radius (fisheye: angle) of the image's farthest corner."""
     if model == "fisheye4":
         shares = np.array(
             [rng.uniform(-0.06, 0.04), rng.uniform(-0.03, 0.03), rng.normal(0, 0.01), rng.normal(0, 0.005)]
@@ -108,7 +108,7 @@ def _random_distortion(rng: np.random.Generator, model: str, radius: float) -> n
     return np.array([k1, k2, p1, p2, k3, k4, k5, k6])
 
 
-def _covers_picture(camera: Camera) -> bool:
+def _covers_image(camera: Camera) -> bool:
     """True where every pixel of the border, and a rim of 2 % around it, has a ray."""
     width, height = camera.size_wh
     t = np.linspace(-0.02, 1.02, 27)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 _MAX_ROUNDS = 24
-_SHRINKS = np.linspace(1.0, 0.0, 9)  # a candidate at each step from its wanted place in the picture to the middle
+_SHRINKS = np.linspace(1.0, 0.0, 9)  # a candidate at each step from its wanted place in the image to the middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,16 +60,16 @@ class PoseOptions:
     """How the board is held. Lengths in pixels, angles in degrees as people state them."""
 
     fill: tuple[float, float] = (0.3, 0.8)
-    """Share of the picture's width or height, the larger one, that the print would fill if it faced the camera.
+    """Share of the image's width or height, the larger one, that the print would fill if it faced the camera.
     The far end is not always reached: a close board is seen by both cameras only where their fields overlap."""
     tilt_deg: tuple[float, float] = (10.0, 45.0)
     """Angle between board and image plane (fisheye: the plane across the line of sight), in all directions."""
     roll_deg: float = 15.0
     """Largest turn within the board's own plane."""
     min_visible_share: float = 1.0
-    """Share of the board's points that each camera must see; at 1 the whole printed pattern is inside both pictures."""
+    """Share of the board's points that each camera must see; at 1 the whole printed pattern is inside both images."""
     margin_px: float = 4.0
-    """Least distance from the edge of the picture."""
+    """Least distance from the edge of the image."""
     max_slant_deg: float = 70.0
     """Largest angle between the board's normal and the line of sight, at any place of the board."""
 
@@ -87,7 +87,7 @@ def sample_board_poses(
 ) -> SE3:
     """``T_left_board`` of ``n_views`` poses that both cameras see.
 
-    Places are spread over the picture by a low-discrepancy sequence and pushed outwards as far as both cameras
+    Places are spread over the image by a low-discrepancy sequence and pushed outwards as far as both cameras
     still see the board; tilt, its direction and the distance are stratified over the views. Rejection sampling with
     at most 24 rounds.
 
@@ -126,7 +126,7 @@ def sample_board_poses(
         return SE3(R, t)
     x0, y0, x1, y1 = printed_extent_m(board)
     raise SceneError(
-        f"a pattern of {x1 - x0:.3g} x {y1 - y0:.3g} does not fit both pictures at fill {options.fill} "
+        f"a pattern of {x1 - x0:.3g} x {y1 - y0:.3g} does not fit both images at fill {options.fill} "
         f"and tilt {options.tilt_deg} deg with a baseline of {rig.baseline_m:.3g}; "
         "allow a smaller fill or a smaller min_visible_share.",
         int(is_placed.sum()),
@@ -194,7 +194,7 @@ class _Sampler:
         return R, middle - (R @ self.centre)
 
     def _distance(self, fill: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
-        """Distance at which the pattern, facing the left camera, fills that share of the picture."""
+        """Distance at which the pattern, facing the left camera, fills that share of the image."""
         width, height = self.rig.left.size_wh
         u = (width - 1) / 2 + np.stack([-fill, fill]) * width / 2
         rays = self.rig.left.unproject(np.stack([u, np.full_like(u, (height - 1) / 2)], axis=-1))
@@ -202,7 +202,7 @@ class _Sampler:
         return self.extent / 2 / np.tan(np.minimum(angle, np.radians(130)) / 2)  # a plane never fills more than 180 deg
 
     def _cyclopean_rays(self, places: Float[ndarray, "k c 2"]) -> Float[ndarray, "k c 3"]:
-        """Mean direction, left frame, of both cameras' rays through a place; places span [-1, 1] over the picture."""
+        """Mean direction, left frame, of both cameras' rays through a place; places span [-1, 1] over the image."""
         rays = []
         for camera in (self.rig.left, self.rig.right):
             half = (np.array(camera.size_wh) - 1) / 2

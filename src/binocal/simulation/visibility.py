@@ -1,4 +1,4 @@
-"""Which points a camera sees: in front of the lens, inside its field, inside the picture."""
+"""Which points a camera sees: in front of the lens, inside its field, inside the image."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 def field_angle_rad(camera: Camera) -> float:
-    """Largest angle from the optical axis that lands in the picture, radians.
+    """Largest angle from the optical axis that lands in the image, radians.
 
-    Beyond it a distortion polynomial may fold back and put a point that no lens sees into the picture.
+    Beyond it a distortion polynomial may fold back and put a point that no lens sees into the image.
     """
     width, height = camera.size_wh
     u, v = np.meshgrid(np.linspace(-0.5, width - 0.5, 13), np.linspace(-0.5, height - 0.5, 13))
@@ -31,7 +31,7 @@ def visible_px(
     """Pixels of points in the camera frame; NaN where the camera does not see them.
 
     A point is seen when it lies within ``field_rad`` of the axis (:func:`field_angle_rad` unless given) and lands
-    in the picture, at least ``margin_px`` from its edge. Occlusion is NOT checked.
+    in the image, at least ``margin_px`` from its edge. Occlusion is NOT checked.
     """
     points = np.asarray(points, dtype=float)
     field = field_angle_rad(camera) if field_rad is None else field_rad

@@ -48,7 +48,7 @@ def estimate_board_poses(
     """Robust maximum-likelihood pose of the board in every view, intrinsics and rig held.
 
     ``start`` holds one ``T_left_board`` per view that is known to be close. Without it the closed-form poses of both
-    cameras are tried, and the one that fits both pictures better is kept. All corners count alike without ``weights``.
+    cameras are tried, and the one that fits both images better is kept. All corners count alike without ``weights``.
     """
     if start is not None:
         is_found = detections.left_is_seen.sum(axis=1) + detections.right_is_seen.sum(axis=1) >= MIN_CORNERS
@@ -70,7 +70,7 @@ def estimate_board_poses(
 
 
 def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[tuple[ndarray, ndarray]], ndarray]:
-    """``T_left_board`` from the left and from the right pictures, each filled with the other's where it has none."""
+    """``T_left_board`` from the left and from the right images, each filled with the other's where it has none."""
     starts = []
     T = rig.T_right_left
     for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px)):

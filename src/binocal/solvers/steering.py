@@ -180,7 +180,7 @@ def _with_lost_views_home(
 ) -> BundleEstimate:
     """The candidate with the poses of views back at the start whose left corners have all lost their weight.
 
-    A redescending kernel gives a view that an early step threw off no way back; the start's pose fitted the left picture.
+    A redescending kernel gives a view that an early step threw off no way back; the start's pose fitted the left image.
     """
     if kernel != "hampel":
         return candidate

@@ -1,7 +1,7 @@
 """Corner covariances as weights: residuals in units in which every corner is known equally well.
 
-A corner's covariance is what its picture says of it, plus what no picture knows: a board that is not flat, a lens that
-the model does not follow, pictures not taken together. That misfit is the same for sharp corners and for blurred ones,
+A corner's covariance is what its image says of it, plus what no image knows: a board that is not flat, a lens that
+the model does not follow, images not taken together. That misfit is the same for sharp corners and for blurred ones,
 so the covariances count the less the larger it is; it is estimated from the residuals, never assumed.
 """
 

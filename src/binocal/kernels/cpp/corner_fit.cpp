@@ -1,4 +1,4 @@
-// The corner fit's door: a picture and starts in, corners and what is known of them out.
+// The corner fit's door: an image and starts in, corners and what is known of them out.
 #include "corner_fit.hpp"
 
 #include "corner_pool.hpp"
@@ -9,15 +9,15 @@ namespace binocal {
 namespace {
 
 template <typename Pixel>
-using Picture = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
+using Image = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
 
 template <typename Pixel>
-void fit(const Picture<Pixel>& picture, const Doubles& inputs, DoublesOut results) {
+void fit(const Image<Pixel>& image, const Doubles& inputs, DoublesOut results) {
     const std::size_t n = inputs.size() / 4;
     if (inputs.size() != 4 * n || results.size() != kResultSize * n)
         throw nb::value_error("inputs must be (n, 4) and results (n, 24)");
-    const Pixel* image = picture.data();
-    const auto height = static_cast<std::ptrdiff_t>(picture.shape(0)), width = static_cast<std::ptrdiff_t>(picture.shape(1));
+    const Pixel* image = image.data();
+    const auto height = static_cast<std::ptrdiff_t>(image.shape(0)), width = static_cast<std::ptrdiff_t>(image.shape(1));
     nb::gil_scoped_release unlocked;
     fit_corners(image, height, width, inputs.data(), static_cast<std::ptrdiff_t>(n), results.data());
 }

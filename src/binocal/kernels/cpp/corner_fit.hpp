@@ -45,7 +45,7 @@ constexpr double kLastStep = 0.008;  // px
 // those that the Jacobian predicts, if it is short, px, or below this many standard deviations of the parameters together and
 // so much shorter than the one before that the next would be nothing.
 constexpr double kLastStepUnseen = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03, kLastStepShrinks = 0.25;
-constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened picture's less
+constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened image's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
 
@@ -241,7 +241,7 @@ bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double 
     for (int k = 0; k < n; ++k) {
         double c = circle[k][0], s = circle[k][1], sum = 0;
         for (double r : {0.55 * radius, 0.8 * radius, -0.55 * radius, -0.8 * radius}) {
-            double px = x + r * c, py = y + r * s;  // positive: the ring lies inside the picture
+            double px = x + r * c, py = y + r * s;  // positive: the ring lies inside the image
             int column = static_cast<int>(px), row = static_cast<int>(py);
             double a = px - column, b = py - row;
             const Pixel* at = image + row * width + column;
@@ -322,7 +322,7 @@ CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_
     std::fill_n(reinterpret_cast<double*>(&failed), kResultSize, nan);
     if (!(std::isfinite(input.x) && std::isfinite(input.y) && input.reach > 0 && input.strip > 0)) return failed;
 
-    auto room = [&](double x, double y) {  // the disc and its soft edge stay inside the picture
+    auto room = [&](double x, double y) {  // the disc and its soft edge stay inside the image
         return std::min(std::min(x, width - 1 - x), std::min(y, height - 1 - y)) - 1.9;
     };
     const bool is_large = 0.85 * input.reach > 1.4 * kFirstRadius;

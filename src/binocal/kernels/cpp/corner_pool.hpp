@@ -1,4 +1,4 @@
-// The fits of one picture's corners made one estimate: they share the pixels' noise and the light's slope, which is
+// The fits of one image's corners made one estimate: they share the pixels' noise and the light's slope, which is
 // smooth across a board, and lie on a plane seen through a lens, whose bending of the edges is taken out.
 #pragma once
 
@@ -10,7 +10,7 @@ namespace binocal {
 
 constexpr std::size_t kMinCornersToPool = 12;  // below it a fit of the light's slope to position (3 numbers an axis) gains nothing
 constexpr double kLeastSlopeSpread = 2e-5;     // 1/px; what paper and lens do on a board's scale even in even light
-constexpr double kNoiseSpread = 1.3;           // noise variance over the picture's median that dark and bright pixels, or JPEG, explain
+constexpr double kNoiseSpread = 1.3;           // noise variance over the image's median that dark and bright pixels, or JPEG, explain
 constexpr double kChance = 8.0;                // over the root of the pixels: four standard deviations of the odd variance that noise has
 constexpr double kPixelsPerCell = 15.0;        // what contradicts the model is alike over so many pixels: measured on shadows' borders
 constexpr double kMaxMisfit = 0.1;             // of the contrast: odd residuals beyond it are an occlusion or a glare, not a corner
@@ -22,7 +22,7 @@ constexpr double kRounding = 1.0 / 12;         // grey levels^2
 struct PooledCorner {
     double x, y;
     double covariance[4];
-    double misfit;  // variance of the residuals' odd part over the picture's noise: 1 where the model holds
+    double misfit;  // variance of the residuals' odd part over the image's noise: 1 where the model holds
 };
 constexpr std::size_t kPooledSize = 7;
 
@@ -95,7 +95,7 @@ class LeastSquares {
 // Positions given what the other corners say about the light's slope (relative, per px).
 //
 // A slope of the light is correlated with the position (at a blur of 3 px it costs the corner a factor 1.4), and is linear
-// in the picture on a board's scale. The conditional mean and covariance of a Gaussian do the rest. The slopes' scatter
+// in the image on a board's scale. The conditional mean and covariance of a Gaussian do the rest. The slopes' scatter
 // beyond their own covariance, which shadows and glare raise, widens the prediction. A corner that contradicts the model keeps
 // its own slope: on the border of a shadow the others' slope would move it by half a pixel.
 inline void share_slope(const CornerResult* fits, std::size_t n, const std::vector<std::size_t>& sound, double noise2,
@@ -166,7 +166,7 @@ inline void share_slope(const CornerResult* fits, std::size_t n, const std::vect
 // How far straight edges fitted to bent ones lie from the corner, pixels: up to 0.002 px in an ordinary lens.
 //
 // An edge of curvature k lies k t^2 / 2 from its tangent at t px from the corner; the fit takes the mean over its reach. The
-// curvature along the board's axes follows from a polynomial of the picture in the board's coordinates.
+// curvature along the board's axes follows from a polynomial of the image in the board's coordinates.
 inline void unbend(const CornerResult* fits, std::size_t n, const double* board_xy, const std::vector<std::size_t>& sound,
                    PooledCorner* out) {
     const int degree = sound.size() >= 40 ? 4 : sound.size() >= 24 ? 3 : sound.size() >= 12 ? 2 : 0;

@@ -1,4 +1,4 @@
-// Least-squares homographies of many pictures of one plane (binocal.geometry.homography states the formulas).
+// Least-squares homographies of many images of one plane (binocal.geometry.homography states the formulas).
 
 #include "gram.hpp"
 #include "kernel.hpp"
@@ -20,7 +20,7 @@ struct Planes {
     double *rows, *S_inverse, *P, *D_inverse, *du, *dv;
 };
 
-// The fit of one picture from its moments: sums over points of w, w u, w v and w (u² + v²) times the basis, (4, kBasis).
+// The fit of one image from its moments: sums over points of w, w u, w v and w (u² + v²) times the basis, (4, kBasis).
 BINOCAL_INLINE void solve_moments(const double* moments, double* rows, double* S_inverse, double* P, double* D_inverse) {
     double S[4][3][3];
     for (int k = 0; k < 4; ++k) {

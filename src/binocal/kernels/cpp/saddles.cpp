@@ -1,4 +1,4 @@
-// Saddles of a smoothed picture: minus the determinant of its Hessian, and the peaks of that.
+// Saddles of a smoothed image: minus the determinant of its Hessian, and the peaks of that.
 #include "kernel.hpp"
 
 #include <algorithm>
@@ -18,7 +18,7 @@ namespace {
 using FloatPlane = nb::ndarray<const float, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
 using FloatPlaneOut = nb::ndarray<float, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
 
-// One row of the response, from three rows of the picture; mean, bend and slope are scratch. The second derivatives are
+// One row of the response, from three rows of the image; mean, bend and slope are scratch. The second derivatives are
 // Sobel's of size 3, divided by 4.
 BINOCAL_CLONED void respond(const float* BINOCAL_APART above, const float* BINOCAL_APART row, const float* BINOCAL_APART below,
                             std::ptrdiff_t width, float* BINOCAL_APART mean, float* BINOCAL_APART bend, float* BINOCAL_APART slope,
@@ -57,7 +57,7 @@ BINOCAL_CLONED void mark_tops(const float* row, std::ptrdiff_t width, std::ptrdi
 void saddle_response(const FloatPlane& smooth, FloatPlaneOut response) {
     const auto height = static_cast<std::ptrdiff_t>(smooth.shape(0)), width = static_cast<std::ptrdiff_t>(smooth.shape(1));
     if (response.shape(0) != smooth.shape(0) || response.shape(1) != smooth.shape(1) || height < 3 || width < 3)
-        throw nb::value_error("the response must have the picture's shape, at least 3 x 3");
+        throw nb::value_error("the response must have the image's shape, at least 3 x 3");
     const float* in = smooth.data();
     float* out = response.data();
     nb::gil_scoped_release unlocked;

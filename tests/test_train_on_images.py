@@ -1,4 +1,4 @@
-"""From a folder of pictures to an agent of one's own, and a rig that it led to."""
+"""From a folder of images to an agent of one's own, and a rig that it led to."""
 
 import json
 from importlib.resources import files
@@ -18,15 +18,15 @@ BOARD = parse_board("chessboard:8x5:20mm")
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pictures")
+def images(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("images")
     app.simulate(table2_rig(), BOARD, 14, folder, force=True)
     return folder
 
 
 @pytest.mark.slow
-def test_half_of_the_pictures_trains_and_the_other_half_judges(pictures, tmp_path, capsys):
-    arguments = ["train", "--data", str(pictures), "--output", str(tmp_path / "agent")]  # truth.json names the board
+def test_half_of_the_images_trains_and_the_other_half_judges(images, tmp_path, capsys):
+    arguments = ["train", "--data", str(images), "--output", str(tmp_path / "agent")]  # truth.json names the board
     assert main([*arguments, "--steps", "3000", "--rigs", "12"]) == 0
     out = capsys.readouterr().out
     rows = json.loads((tmp_path / "agent" / "table.json").read_text())
@@ -34,12 +34,10 @@ def test_half_of_the_pictures_trains_and_the_other_half_judges(pictures, tmp_pat
     assert {"drl", "drl, as shipped", "LM-Marquardt"} <= {row["controller"] for row in rows}
     assert "second half" in out and "drl, as shipped" in out and "second half: baseline" in out
     card = (tmp_path / "agent" / "card.md").read_text()
-    assert (
-        "7 pairs of real pictures" in card and "actor [16]" in card and "from the pictures of the second half" in card
-    )
+    assert "7 pairs of real images" in card and "actor [16]" in card and "from the images of the second half" in card
 
     weights = str(tmp_path / "agent" / "weights.safetensors")
-    road = ["calibrate", "--left", str(pictures / "left*"), "--right", str(pictures / "right*"), "--model", "brown4"]
+    road = ["calibrate", "--left", str(images / "left*"), "--right", str(images / "right*"), "--model", "brown4"]
     road += ["--board", "chessboard:8x5:20mm"]
     rigs = []
     for name in (weights, "lm"):
@@ -51,12 +49,12 @@ def test_half_of_the_pictures_trains_and_the_other_half_judges(pictures, tmp_pat
 
 
 @pytest.mark.slow
-def test_too_few_pictures_are_said_before_any_training(pictures, tmp_path):
+def test_too_few_images_are_said_before_any_training(images, tmp_path):
     few = tmp_path / "few"
     few.mkdir()
     for side in ("left", "right"):
         for i in range(8):
-            (few / f"{side}_{i:02d}.png").write_bytes((pictures / f"{side}_{i:02d}.png").read_bytes())
+            (few / f"{side}_{i:02d}.png").write_bytes((images / f"{side}_{i:02d}.png").read_bytes())
     with pytest.raises(TooFewViewsError, match="12"):
         app.train(tmp_path / "agent", app.TrainOptions(n_steps=100), data=few, board=BOARD)
 
@@ -88,7 +86,7 @@ def test_a_run_that_cannot_begin_leaves_the_former_one_alone(tmp_path):
 
 
 @pytest.mark.parametrize("content", [None, b"no weights"])
-def test_weights_that_cannot_be_read_are_named_before_any_picture_is(tmp_path, capsys, content):
+def test_weights_that_cannot_be_read_are_named_before_any_image_is(tmp_path, capsys, content):
     weights = tmp_path / "mine.safetensors"
     if content is not None:
         weights.write_bytes(content)

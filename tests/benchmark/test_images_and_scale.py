@@ -21,9 +21,9 @@ def test_the_pipeline_is_timed_against_its_peer_and_against_decoding():
 
 
 def test_scale_reports_time_memory_and_what_the_choice_costs():
-    table = run("scale", picture_pairs=(6,), corner_pairs=(60, 120), seed=1)
-    pictures, *corners = table["rows"]
-    assert pictures["stage"] == "pictures" and pictures["n_views"] == 6 and pictures["peak_mb"] > 10
+    table = run("scale", image_pairs=(6,), corner_pairs=(60, 120), seed=1)
+    images, *corners = table["rows"]
+    assert images["stage"] == "images" and images["n_views"] == 6 and images["peak_mb"] > 10
     for row in corners:
         assert row["n_views"] == 50 and row["depth_sigma_percent"] >= row["all_depth_sigma_percent"] > 0
         assert row["translation_error_mm"] < 0.5
@@ -31,7 +31,7 @@ def test_scale_reports_time_memory_and_what_the_choice_costs():
     assert table["text"].count("\n") == 3
 
 
-def test_rigs_from_pictures_are_compared_with_both_of_opencvs_roads():
+def test_rigs_from_images_are_compared_with_both_of_opencvs_roads():
     table = run("rig", pairs=8, sets=2, seed=1)
     rows = {row["way"]: row for row in table["rows"]}
     assert set(rows) == {"binocal", "binocal, brown5", "OpenCV, joint", "OpenCV, tutorial"}

@@ -1,6 +1,6 @@
-"""The compiled kernel's side door for pictures: X-corners, their links and lattices, the corner fit and its pooling.
+"""The compiled kernel's side door for images: X-corners, their links and lattices, the corner fit and its pooling.
 
-Pictures are C-contiguous (h, w). Points are (x, y), (0, 0) the centre of the top-left pixel. The kernel holds no lock while
+Images are C-contiguous (h, w). Points are (x, y), (0, 0) the centre of the top-left pixel. The kernel holds no lock while
 it works. Tests/kernels states each function plainly in NumPy and compares.
 """
 
@@ -26,7 +26,7 @@ _NOTHING = np.empty(0)
 def saddle_response(
     smooth: Float32[ndarray, "h w"], out: Float32[ndarray, "h w"] | None = None
 ) -> Float32[ndarray, "h w"]:
-    """Minus the determinant of the Hessian: positive at saddles, zero along edges and in the picture's outermost pixels."""
+    """Minus the determinant of the Hessian: positive at saddles, zero along edges and in the image's outermost pixels."""
     response = np.empty(smooth.shape, np.float32) if out is None else out
     _kernel.saddle_response(np.ascontiguousarray(smooth), response)
     return response
@@ -45,7 +45,7 @@ def find_peaks(
 
 
 def sample(image: ndarray, points_px: Float[ndarray, "*n 2"]) -> Float32[ndarray, "*n"]:
-    """Bilinear values at points of a uint8 or float32 picture; the border's value beyond it, 0 where a point is NaN."""
+    """Bilinear values at points of a uint8 or float32 image; the border's value beyond it, 0 where a point is NaN."""
     flat = _places(points_px)
     values = np.empty(len(flat), np.float32)
     _kernel.sample(np.ascontiguousarray(image), flat, values)
@@ -55,7 +55,7 @@ def sample(image: ndarray, points_px: Float[ndarray, "*n 2"]) -> Float32[ndarray
 def read_rings(
     smooth: ndarray, points_px: Float[ndarray, "n 2"], radius_px: float, min_contrast_dn: float, max_unlikeness: float
 ) -> tuple[Bool[ndarray, "n"], Float[ndarray, "n 4"], Float[ndarray, "n"]]:
-    """Which points of a uint8 or float32 picture are X-corners, their edge directions, and the rings' contrasts.
+    """Which points of a uint8 or float32 image are X-corners, their edge directions, and the rings' contrasts.
 
     A ring's values cross its middle level four times, opposite values differ by ``max_unlikeness`` of its contrast at most,
     both edges run straight through to 40 degrees and no sector is below 18. Directions are radians in rising order, the
@@ -69,7 +69,7 @@ def read_rings(
 
 
 def localize_saddles(
-    picture: ndarray, points_px: Float[ndarray, "n 2"], fit: Float[ndarray, "5 k2"], reach: int
+    image: ndarray, points_px: Float[ndarray, "n 2"], fit: Float[ndarray, "5 k2"], reach: int
 ) -> Float[ndarray, "n 2"]:
     """Points moved, twice, to the saddle of the quadratic that fits the (2 reach + 1)^2 pixels around them.
 
@@ -77,7 +77,7 @@ def localize_saddles(
     would move by more than ``reach`` from its start, and near the border.
     """
     points = _places(points_px).copy()
-    _kernel.localize_saddles(np.ascontiguousarray(picture), np.ascontiguousarray(fit, dtype=float), reach, points)
+    _kernel.localize_saddles(np.ascontiguousarray(image), np.ascontiguousarray(fit, dtype=float), reach, points)
     return points
 
 
@@ -169,7 +169,7 @@ class CornerFits:
 
     @property
     def contrast_dn(self) -> Float[ndarray, "n"]:
-        """Bright minus dark, negative where the picture's sign is."""
+        """Bright minus dark, negative where the image's sign is."""
         return 2 * self.raw[:, 16]
 
     @property
@@ -207,10 +207,10 @@ def fit_corners(
     edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``.
 
     Raises:
-        ValueError: The picture is of another type or shape.
+        ValueError: The image is of another type or shape.
     """
     if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16, np.float32):
-        raise ValueError(f"a picture is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
+        raise ValueError(f"an image is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
     inputs = np.empty((len(points_px), 4))
     inputs[:, :2], inputs[:, 2], inputs[:, 3] = points_px, reach_px, strip_px
     raw = np.empty((len(inputs), _kernel.CORNER_RESULT_SIZE))
@@ -220,9 +220,9 @@ def fit_corners(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PooledCorners:
-    """Corners and covariances that share a picture's noise and light, NaN where there is no corner.
+    """Corners and covariances that share an image's noise and light, NaN where there is no corner.
 
-    ``misfit`` is the variance of the residuals' odd part over the picture's noise.
+    ``misfit`` is the variance of the residuals' odd part over the image's noise.
     """
 
     points_px: Float[ndarray, "n 2"]
@@ -232,7 +232,7 @@ class PooledCorners:
 
 
 def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> PooledCorners:
-    """One estimate from the fits of one picture; see ``corner_pool.hpp``.
+    """One estimate from the fits of one image; see ``corner_pool.hpp``.
 
     With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
     """

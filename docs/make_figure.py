@@ -1,4 +1,4 @@
-"""Draws docs/rectified.svg, a board as a stereo rig sees it and rectified: `python docs/make_picture.py`.
+"""Draws docs/rectified.svg, a board as a stereo rig sees it and rectified: `python docs/make_image.py`.
 
 Every corner is computed by the camera models and the rectification that the library uses; nothing is drawn by hand.
 """
@@ -15,7 +15,7 @@ from binocal.rectification import rectify, rectify_points
 
 PATH = Path(__file__).with_name("rectified.svg")
 COLUMNS, ROWS, SQUARE_M = 12, 9, 0.02
-SCALE, GAP = 0.25, 20  # drawn pixels per picture pixel; space between pictures
+SCALE, GAP = 0.25, 20  # drawn pixels per image pixel; space between images
 STEPS_PER_SIDE = 4  # the lens bends edges: each side of a square is drawn in pieces
 
 
@@ -39,8 +39,8 @@ def squares() -> list[np.ndarray]:
     return outlines
 
 
-def picture() -> str:
-    """The SVG: two rows (raw, rectified) of two pictures (left, right), the rows of three corners drawn through."""
+def image() -> str:
+    """The SVG: two rows (raw, rectified) of two images (left, right), the rows of three corners drawn through."""
     rig = make_rig()
     r = rectify(rig)
     T_left_board = SE3(so3.exp(np.array([0.25, 0.35, 0.05])), np.array([0.02, 0.0, 0.33]))
@@ -90,4 +90,4 @@ def picture() -> str:
 
 
 if __name__ == "__main__":
-    PATH.write_text(picture(), encoding="utf-8")
+    PATH.write_text(image(), encoding="utf-8")

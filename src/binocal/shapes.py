@@ -1,0 +1,35 @@
+"""Array types with shapes, ``Float[ndarray, "n 2"]``: jaxtyping's, loaded when an annotation is first evaluated.
+
+Type checkers see jaxtyping itself, ``typing.get_type_hints`` and run-time checkers get its types. An annotation that nobody
+evaluates costs nothing: jaxtyping takes 50 ms to import, more than everything else that ``import binocal`` loads.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt, UInt8
+else:
+
+    class _Lazy:
+        """Stands for one of jaxtyping's types until it is subscripted."""
+
+        __slots__ = ("_name",)
+
+        def __init__(self, name: str) -> None:
+            self._name = name
+
+        def __getitem__(self, item: tuple[Any, str]) -> Any:
+            import jaxtyping
+
+            return getattr(jaxtyping, self._name)[item]
+
+        def __repr__(self) -> str:
+            return f"jaxtyping.{self._name}"
+
+    Bool, Float, Float32, Int, Shaped, UInt, UInt8 = (
+        _Lazy(name) for name in ("Bool", "Float", "Float32", "Int", "Shaped", "UInt", "UInt8")
+    )
+
+__all__ = ["Bool", "Float", "Float32", "Int", "Shaped", "UInt", "UInt8"]
