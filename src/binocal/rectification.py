@@ -7,7 +7,6 @@ cameras stand one above the other: matching points then share a column, and disp
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -15,9 +14,7 @@ from numpy import ndarray
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import DegenerateGeometryError
 from binocal.geometry import SE3, so3
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+from binocal.shapes import Bool, Float
 
 MAX_AXIS_ANGLE_DEG = (
     60.0  # beyond it the cameras stand behind each other rather than side by side: no common image is left

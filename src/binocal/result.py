@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -12,9 +12,7 @@ from numpy import ndarray
 from binocal.cameras import StereoRig
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt, UInt8
+    from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt, UInt8, UInt16
 else:
 
     class _Lazy:
@@ -28,8 +28,8 @@ else:
         def __repr__(self) -> str:
             return f"jaxtyping.{self._name}"
 
-    Bool, Float, Float32, Int, Shaped, UInt, UInt8 = (
-        _Lazy(name) for name in ("Bool", "Float", "Float32", "Int", "Shaped", "UInt", "UInt8")
+    Bool, Float, Float32, Int, Shaped, UInt, UInt8, UInt16 = (
+        _Lazy(name) for name in ("Bool", "Float", "Float32", "Int", "Shaped", "UInt", "UInt8", "UInt16")
     )
 
-__all__ = ["Bool", "Float", "Float32", "Int", "Shaped", "UInt", "UInt8"]
+__all__ = ["Bool", "Float", "Float32", "Int", "Shaped", "UInt", "UInt8", "UInt16"]

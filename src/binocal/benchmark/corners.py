@@ -12,7 +12,7 @@ from __future__ import annotations
 import platform
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -22,10 +22,8 @@ from binocal.cameras import Camera
 from binocal.detection.corner_fit import fit_corners
 from binocal.geometry import SE3
 from binocal.geometry.so3 import exp
+from binocal.shapes import Float
 from binocal.simulation import RenderOptions, render_image
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 BOARD = "chessboard:11x8:20mm"
 SIZE_WH = (1280, 960)

@@ -11,7 +11,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -21,10 +21,8 @@ from binocal.cameras import Camera
 from binocal.detection import detect
 from binocal.geometry import SE3
 from binocal.geometry.so3 import exp
+from binocal.shapes import Float, Float32, UInt8
 from binocal.simulation import RenderOptions, printed_extent_m, render_light, visible_px
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, UInt8
 
 BOARDS = ("chessboard:11x8:20mm", "chessboard:9x6:20mm", "chessboard:8x5:20mm", "chessboard:7x7:20mm")
 SIZE_WH = (1280, 960)

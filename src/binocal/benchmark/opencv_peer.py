@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.evidence import Detections
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 WINDOW = (5, 5)  # of cornerSubPix: half its side
 Views = Sequence[ndarray]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy import ndarray
@@ -20,15 +20,13 @@ from binocal.evidence import Detections
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
 from binocal.initialization.verified_start import estimate_verified_start
 from binocal.result import RejectedView, StereoCalibration
+from binocal.shapes import Float
 from binocal.solvers import robust
 from binocal.solvers.bundle import BundleEstimate, BundleProblem, residual_lengths2
 from binocal.solvers.covariance import inliers
 from binocal.solvers.least_squares import RESUMED_DAMPING, START_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6

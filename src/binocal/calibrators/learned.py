@@ -16,12 +16,12 @@ from binocal.calibrators.joint import calibrate_jointly
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
+from binocal.shapes import Float
 from binocal.solvers.bundle import BundleEstimate, BundleProblem
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.steered import SteeredMinimum, minimize_steered
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
     from numpy import ndarray
 
 

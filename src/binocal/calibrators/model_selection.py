@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -16,13 +15,11 @@ from binocal.errors import CalibrationError, DataError, NotConvergedError
 from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.result import Evidence, StereoCalibration
+from binocal.shapes import Float
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.poses import estimate_board_poses
 from binocal.solvers.whitening import CornerWeights, corner_weights
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 N_FOLDS = 4
 MIN_VIEWS_FOR_CHOICE = 2 * MIN_VIEWS  # below that the training folds would be degenerate

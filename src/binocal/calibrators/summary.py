@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -26,13 +25,11 @@ from binocal.result import (
     StereoCalibration,
     ViewResult,
 )
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations, residual_lengths2
 from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
 from binocal.solvers.least_squares import Minimum
 from binocal.solvers.whitening import CornerWeights
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 
 def joint_problem(

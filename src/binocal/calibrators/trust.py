@@ -6,7 +6,6 @@ Each check either raises with the culprit's name or adds a sentence to the warni
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -14,9 +13,7 @@ from numpy import ndarray
 from binocal.errors import DegenerateGeometryError, InconsistentViewsError, NotConvergedError
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 MAX_NOISE_SHARE = 0.08
 """Corner noise over corner spacing.

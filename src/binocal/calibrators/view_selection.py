@@ -9,7 +9,6 @@ memory are linear in the views.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -21,6 +20,7 @@ from binocal.errors import TooFewViewsError
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.result import StereoCalibration
+from binocal.shapes import Float, Int
 from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
@@ -31,9 +31,6 @@ from binocal.solvers.bundle import (
 )
 from binocal.solvers.poses import estimate_board_poses
 from binocal.solvers.whitening import CornerWeights, corner_weights
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 PILOT_VIEWS = 40  # spread over the recording; enough for a rig whose error does not change the order of the views
 CHUNK_VIEWS = 256  # views linearised at a time: bounds the memory

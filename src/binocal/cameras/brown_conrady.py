@@ -7,13 +7,10 @@ dimensions that broadcast against theirs, in the order fx, fy, cx, cy, skew, dis
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+from binocal.shapes import Bool, Float
 
 
 def _split(parameters: ndarray) -> list[ndarray]:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.cameras.models import CameraModel, camera_model
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,6 @@ count from the top-left or from the bottom-left tag (Kalibr), and a tag's own up
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,9 +18,7 @@ from binocal.detection.markers import find_markers, get_dictionary, to_8_bit
 from binocal.detection.refinement import corner_covariance, measure_corners, refine_corners
 from binocal.detection.regularity import find_irregular, grid_residuals
 from binocal.detection.xcorners import read_rings
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, Int
+from binocal.shapes import Float, Float32, Int
 
 MIN_TAGS = 2  # one tag does not tell how the ids run
 L_CORNER_BIAS_PX = (

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
 from binocal.detection.refinement import estimate_noise_dn
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, Int
+from binocal.shapes import Float, Float32, Int
 
 MIN_AREA_PX2 = 12.0
 MIN_CONTRAST_DN = 12.0

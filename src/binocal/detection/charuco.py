@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -15,9 +15,7 @@ from binocal.detection.markers import apply_homography, find_markers, get_dictio
 from binocal.detection.refinement import measure_corners
 from binocal.detection.regularity import find_irregular, grid_residuals
 from binocal.detection.xcorners import read_rings
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, Int
+from binocal.shapes import Bool, Float, Float32, Int
 
 Layout = Literal["", "current", "legacy"]
 MIN_CORNERS = 4  # of one image: fewer carry no pose; the solver decides on more

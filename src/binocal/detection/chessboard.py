@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from numpy import ndarray
@@ -18,9 +16,7 @@ from binocal.detection.regularity import expected_points, find_irregular
 from binocal.detection.search import SearchLevel, search_levels
 from binocal.detection.xcorners import localize_saddles, read_rings
 from binocal.kernels import images
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, UInt8
+from binocal.shapes import Bool, Float, UInt8
 
 # Of a board whose outline is complete; below it the view is too doubtful to keep. The border of a shadow across a board of
 # eight columns costs a fifth of the corners.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -15,9 +14,7 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.markers import apply_homography
 from binocal.detection.point_lattice import LatticePoints, grow_point_lattices
 from binocal.detection.regularity import find_irregular, fit_homography
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, Int
+from binocal.shapes import Float, Float32, Int
 
 MAX_SHARE_MISSING = 0.1  # of a grid whose outline is complete
 # Every change of basis that can turn a lattice's own steps into the board's: whole numbers -1 to 1, area kept.

@@ -7,15 +7,12 @@ its own first, then all of an image as one estimate, for they share the pixels' 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import images
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,10 +12,9 @@ from binocal.boards import Board
 from binocal.detection.chessboard import detect_chessboard
 from binocal.detection.found import FoundBoard, not_found
 from binocal.images.reading import to_grey
+from binocal.shapes import Float32, UInt8
 
 if TYPE_CHECKING:
-    from jaxtyping import Float32, UInt8
-
     from binocal.detection.aprilgrid import TagLayout
     from binocal.detection.charuco import Layout
 

@@ -6,8 +6,6 @@ one. The whole lattice knows better where the next line must lie: it is looked f
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy import ndarray
 
@@ -15,9 +13,7 @@ from binocal.detection.corner_fit import fit_corners
 from binocal.detection.grid import grid_reach, grid_spacing
 from binocal.detection.regularity import expected_points
 from binocal.kernels import images
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32
+from binocal.shapes import Bool, Float, Float32
 
 MIN_LINES, MIN_CORNERS = 3, 12
 MIN_CONTRAST = (

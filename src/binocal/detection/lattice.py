@@ -7,7 +7,6 @@ which is what tells a wrong SPEC, a second board or a half-hidden one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -15,9 +14,7 @@ from numpy import ndarray
 from binocal.detection.regularity import fit_homography
 from binocal.detection.xcorners import SaddleImage, XCorners, _wrap, read_rings
 from binocal.kernels import images
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+from binocal.shapes import Float, Int
 
 MAX_TURN_RAD = np.radians(25)  # between an edge at a corner and the way to the neighbour; fisheye edges bend up to 15
 # A row of true corners has an edge between any two of them. Along the board's outer border only every second square

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int, UInt8
+from binocal.shapes import Float, Int, UInt8
 
 
 def dictionary_names() -> list[str]:

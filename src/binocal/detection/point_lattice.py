@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+from binocal.shapes import Float, Int
 
 MAX_STEP_ERROR = 0.28  # of the step, between where a neighbour should be and where it is
 MAX_RADIUS_RATIO = 1.6  # between neighbouring spots

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from numpy import ndarray
 
 from binocal.detection.corner_fit import fit_corners
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
 WINDOW_PER_SPACING = 0.38  # half-width; the window's diagonal then ends at 0.54 of the way to the nearest corner

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,9 +12,7 @@ from numpy import ndarray
 
 from binocal.detection.lattice import Lattice, find_lattices, link_corners
 from binocal.detection.xcorners import SaddleImage, XCorners, find_x_corners
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, UInt8
+from binocal.shapes import Float, Float32, UInt8
 
 LEAST_LINKED_TO_STRETCH = 8  # chance seldom links more than six corners
 STRETCHES = 8  # directions of a half turn

@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import images
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, UInt8
+from binocal.shapes import Bool, Float, Float32, UInt8
 
 MIN_CONTRAST_DN = 6.0  # of 255; ring contrast below it is noise in every camera tried
 # Opposite samples of a ring agree to 0.35 of its contrast: this admits shading across the ring and a centre that is off

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.errors import DataError
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+from binocal.shapes import Bool, Float, Int
 
 
 @dataclass(frozen=True, slots=True, eq=False)

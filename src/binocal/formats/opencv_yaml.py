@@ -13,7 +13,7 @@ import re
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -23,9 +23,7 @@ from binocal.errors import DataError, FormatError
 from binocal.formats.output import check_output, write_aside
 from binocal.geometry import SE3
 from binocal.rectification import rectify
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "board pitch": 1.0}
 

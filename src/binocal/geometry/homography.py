@@ -11,15 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal import kernels
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+from binocal.shapes import Bool, Float
 
 MIN_POINTS = 4  # a homography has 8 degrees of freedom, a point gives 2
 _SYMMETRIC = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])

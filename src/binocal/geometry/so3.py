@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 
 def hat(v: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import UInt
+from binocal.shapes import UInt
 
 COMPRESSION_LEVEL = 1  # sensor noise does not compress: level 6 is 4 times slower for 2 % of the size
 

@@ -19,10 +19,9 @@ from numpy import ndarray
 
 from binocal.errors import FormatError
 from binocal.images.containers import identify_container, structure_problem
+from binocal.shapes import UInt8, UInt16
 
 if TYPE_CHECKING:
-    from jaxtyping import UInt8, UInt16
-
     Image = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"] | UInt8[ndarray, "h w 3"] | UInt16[ndarray, "h w 3"]
     GreyImage = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"]
 

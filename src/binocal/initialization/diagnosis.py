@@ -9,7 +9,6 @@ covariances), never with one kind of rig.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -32,9 +31,7 @@ from binocal.initialization.relative_pose import Consensus, estimate_relative_po
 from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, transposed_order
 from binocal.initialization.vanishing_points import check_orientations
 from binocal.result import RejectedView
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+from binocal.shapes import Bool, Float
 
 MIN_VIEWS = 3  # two leave the principal point to chance
 _OFF_GRID = (

@@ -11,16 +11,13 @@ by Gauss-Newton with the homographies eliminated).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.geometry.homography import PlaneFit, PlaneFrame, fit_plane, plane_spread
 from binocal.geometry.so3 import turn_to_z
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 MAX_VIEWS, MAX_POINTS = 12, 60  # evenly chosen; enough for a start, the joint solver sees everything
 _MIN_G = 0.3  # 75-80 deg from the axis: nearer to the horizon rays are turned before the plane is used

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -14,9 +13,7 @@ from binocal.geometry.homography import HomographyFit, PlaneFrame, fit_homograph
 from binocal.initialization.distortion import estimate_lifting, fit_brown, fit_kannala_brandt, fit_lifted
 from binocal.initialization.poses import BoardPoses, poses_from_rays, select_poses, unproject_all
 from binocal.initialization.vanishing_points import VanishingEstimate, estimate_pinhole
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+from binocal.shapes import Bool, Float
 
 _ASPECT_TOLERANCE = 0.02  # beyond it the radial profile is found again on squared-up pixels
 _MAX_ROUNDS = 4

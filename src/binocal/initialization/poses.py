@@ -9,7 +9,6 @@ pose fits, needs no corners.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -25,9 +24,7 @@ from binocal.geometry.homography import (
     plane_spread,
     solve_plane,
 )
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+from binocal.shapes import Bool, Float, Int
 
 _MIN_COSINE = 0.08  # a corner 85 deg from its own view's mean ray is left out
 

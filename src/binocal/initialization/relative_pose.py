@@ -9,7 +9,6 @@ quadratic forms, views eliminated).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -17,9 +16,7 @@ from numpy import ndarray
 from binocal.geometry import SE3, so3
 from binocal.geometry.homography import PlaneFrame
 from binocal.initialization.poses import BoardPoses, pose_jacobian, pose_vector
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+from binocal.shapes import Bool, Float, Int
 
 _MAX_PROPOSALS = 12
 _MAX_VOTERS = 48  # views asked about every proposal; the winner is put to all

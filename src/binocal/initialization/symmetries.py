@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.geometry import SE3
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+from binocal.shapes import Float, Int
 
 _CANDIDATES = (
     ("", ((1, 0), (0, 1))),

@@ -16,15 +16,12 @@ Coordinates here are pixels relative to the assumed centre, divided by half the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.errors import DegenerateGeometryError, TooFewViewsError
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 FOCAL_RANGE = (0.08, 60.0)  # in half diagonals: 170° of a fisheye to a 2° telephoto lens
 MAX_VIEWS = 40  # a start needs no more, evenly chosen; the joint solver sees every view

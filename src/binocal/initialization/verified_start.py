@@ -9,7 +9,6 @@ joint solver prove it (:mod:`binocal.calibrators.lm` does) and go the long way o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -19,9 +18,7 @@ from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.geometry.homography import PlaneFrame, fit_plane
 from binocal.initialization.poses import decompose
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 MIN_CORNERS = 12  # of every image; fewer leave a homography too free to prove anything
 _OUTSIDE_PX = 2.0

@@ -13,10 +13,12 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy import ndarray
+
+from binocal.shapes import Bool, Float
 
 try:
     from binocal.kernels import _kernel
@@ -26,8 +28,6 @@ except ImportError as error:
         "(from a working tree: make, or pip install -e .)"
     ) from error
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 CORNERS_PER_THREAD = 20_000  # half a millisecond of work; starting a thread costs some 30 microseconds
 

@@ -9,15 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import _kernel
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, Int
+from binocal.shapes import Bool, Float, Float32, Int
 
 N_RING = _kernel.N_RING
 _NOTHING = np.empty(0)

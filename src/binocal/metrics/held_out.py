@@ -17,10 +17,10 @@ from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.metrics import image
 from binocal.result import Covariance
+from binocal.shapes import Float
 from binocal.solvers.poses import estimate_board_poses
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
     from numpy import ndarray
 
 N_BOUND_RIGS = 40  # rigs drawn from the bound; its RMS is then known to 11 %

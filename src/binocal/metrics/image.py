@@ -7,7 +7,6 @@ was not seen; a corner that cannot be measured (no ray, behind a camera) is left
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -16,9 +15,7 @@ from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.rectification import rectify, rectify_points
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+from binocal.shapes import Bool, Float, Int
 
 MIN_CORNERS_FOR_SCALE = 4  # a similarity of the plane has 4 unknowns; 4 corners leave as many again to spare
 REFINEMENT_STEPS = 5  # quadratic convergence from the mid-point: the third step is below 1e-12 m on the table-2 rig

@@ -7,7 +7,6 @@ right corners of one view do not match although every corner is right. The rig, 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -16,10 +15,8 @@ from binocal.cameras import StereoRig
 from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.initialization.symmetries import board_symmetries
+from binocal.shapes import Float
 from binocal.solvers.poses import BoardPoses, estimate_board_poses
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 SUSPECT_PX = 1.0  # no sane rig misses its corners by that much; looking costs time only
 CLEAR_FACTOR = 5.0  # another order is believed if it fits that many times better; a wrong one is worse by 100 and more

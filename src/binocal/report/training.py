@@ -12,9 +12,9 @@ from numpy import ndarray
 
 from binocal.errors import MissingExtraError
 from binocal.rl.history import TrainingHistory, smoothed
+from binocal.shapes import Float, Int
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
     from matplotlib.axes import Axes
 
 SIZE_INCHES = (10.0, 7.5)

@@ -56,11 +56,11 @@ from binocal.rl.task import (
     reward,
     transition,
 )
+from binocal.shapes import Bool, Float, Float32, Int
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from jaxtyping import Bool, Float, Float32, Int
 
 OBSERVED_LIMIT = 10.0  # decades, or octaves; beyond it nothing changes what should be done
 TOLERANCE_SIGMA = 0.1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -20,10 +19,8 @@ from binocal.rl.task import (
     reward,
     transition,
 )
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers.bundle import BundleEstimate
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 COMPACTION_SHARE = 0.8  # a batch is packed when fewer of its rigs than this still run
 

@@ -16,13 +16,12 @@ from numpy import ndarray
 
 from binocal.rl.rig_batches import CASE_SETS, Cases, sample_cases, sample_starts, select_loop, way_left_sigma
 from binocal.rl.task import KERNEL, MAX_STEPS, n_actions
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.controllers import Controller, Marquardt, Nielsen, Schedule
 from binocal.solvers.steering import advance, begin
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
-
     from binocal.rl.policy import Policy
 
 TOLERANCE_SIGMA = {"stress": 0.3}

@@ -6,16 +6,13 @@ import json
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.errors import FormatError
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+from binocal.shapes import Float, Int
 
 SCHEMA = "binocal-training/1"
 CONVERGED_SHARE = 0.05  # of the loss's whole fall

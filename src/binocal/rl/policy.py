@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -23,12 +23,10 @@ from binocal.rl.task import (
     observation_names,
     steering_action,
 )
+from binocal.shapes import Float
 from binocal.solvers.bundle import BundleProblem
 from binocal.solvers.controllers import Memory
 from binocal.solvers.steering import Action, LoopState
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 SHIPPED: dict[str, str] = {"steering": "drl.safetensors", "increments": "drl_increments.safetensors"}
 LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps

@@ -7,7 +7,6 @@ would leave them; the rig starts off by a rotation and a share of the baseline t
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -16,6 +15,7 @@ from binocal.boards import parse_board
 from binocal.cameras import camera_model
 from binocal.geometry import so3
 from binocal.kernels import ViewEquations
+from binocal.shapes import Float
 from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses
 from binocal.solvers.bundle import (
     BundleEquations,
@@ -30,9 +30,6 @@ from binocal.solvers.bundle import (
 )
 from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.steering import LoopState
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 MODEL = "brown4"
 SIZE_WH = (1280, 960)

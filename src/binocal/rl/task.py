@@ -8,16 +8,14 @@ is decided by an :class:`ActionMeaning` (``steering``: the solver's own knobs; `
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers.bundle import BundleEstimate, BundleProblem, shared_information
 from binocal.solvers.steering import OBSERVED, Action, LoopState, advance, begin, observe
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 KERNEL = "hampel"
 MAX_STEPS = 25  # an episode that has not arrived by then has failed

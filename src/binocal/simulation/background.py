@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 _NOISE = ((4, 0.5), (12, 0.3), (60, 0.12))  # cells across the image, share of the contrast
 

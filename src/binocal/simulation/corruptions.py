@@ -6,16 +6,14 @@ They exist to prove that none of these passes in silence. A view is given by its
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.evidence import Detections
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from binocal.shapes import Float
 
 Side = Literal["left", "right"]
 

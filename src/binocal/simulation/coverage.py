@@ -9,16 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.shapes import Float, Int
 from binocal.simulation.layout import CellPrint, DiscPrint, cell_print, disc_print, printed_extent_m, sheet_margin
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True, slots=True, eq=False)

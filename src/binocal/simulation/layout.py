@@ -16,15 +16,12 @@ needs. Conventions, each held against OpenCV or Kalibr by a test:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+from binocal.shapes import Float, Int
 
 _TAG36H11_ID0 = (
     0xD5D628584  # the family's first code word; read row by row, lowest bit first, it is the tag turned by 180°

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.evidence import Detections
+from binocal.shapes import Float
 from binocal.simulation.scenes import StereoScene
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 
 def simulate_detections(

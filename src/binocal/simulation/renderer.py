@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy import ndarray
@@ -24,14 +24,12 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.cameras import Camera
 from binocal.geometry import SE3
+from binocal.shapes import Bool, Float, UInt
 from binocal.simulation.background import draw_background
 from binocal.simulation.coverage import Footprint, Sheet, sheet_of
 from binocal.simulation.layout import printed_extent_m, sheet_margin
 from binocal.simulation.optics import blur_image, blur_kernel
 from binocal.simulation.visibility import field_angle_rad, visible_px
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, UInt
 
 _FINE = 4  # points per pixel and axis
 _SPREAD_PX = 0.14  # less: the fine grid aliases; more: more pixels count as edges

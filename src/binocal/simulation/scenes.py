@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -12,11 +11,9 @@ from binocal.boards import Board
 from binocal.cameras import StereoRig
 from binocal.errors import SceneError
 from binocal.geometry import SE3, so3
+from binocal.shapes import Bool, Float
 from binocal.simulation.layout import printed_extent_m
 from binocal.simulation.visibility import field_angle_rad, visible_px
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 _MAX_ROUNDS = 24
 _SHRINKS = np.linspace(1.0, 0.0, 9)  # a candidate at each step from its wanted place in the image to the middle

@@ -13,7 +13,7 @@ once. All functions are pure.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -33,10 +33,8 @@ from binocal.kernels import (
     squared_lengths,
     step_poses,
 )
+from binocal.shapes import Bool, Float
 from binocal.solvers import robust
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.shapes import Float
 from binocal.solvers.bundle import BundleProblem
 from binocal.solvers.steering import Action, LoopState
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 Memory = dict[str, ndarray]
 """What a controller remembers between iterations; every array has one entry for each rig."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy import ndarray
 
@@ -11,6 +9,7 @@ from binocal.cameras import StereoRig, camera_model
 from binocal.errors import DegenerateGeometryError
 from binocal.geometry import SE3, so3
 from binocal.result import Covariance
+from binocal.shapes import Bool, Float
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
@@ -22,9 +21,6 @@ from binocal.solvers.bundle import (
 )
 from binocal.solvers.least_squares import Minimum
 from binocal.solvers.whitening import CornerWeights
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 SINGULAR_CONDITION = 1e15  # of the equilibrated information; a usable rig has 1e3 to 1e9, brown8 up to 1e13
 

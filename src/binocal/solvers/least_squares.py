@@ -7,11 +7,11 @@ the median residual (MAD) of the estimate that is kept, so the kernel closes by 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
@@ -26,10 +26,6 @@ from binocal.solvers.bundle import (
     select_rigs,
     solve_step,
 )
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
-
 
 CLOSING_RATIO = 0.9  # the scale fell by more than this in a step: the kernel is still closing
 START_DAMPING = 1e-6

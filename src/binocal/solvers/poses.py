@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -12,6 +11,7 @@ from binocal.cameras import StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.initialization.poses import estimate_poses
+from binocal.shapes import Bool, Float
 from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
@@ -21,9 +21,6 @@ from binocal.solvers.bundle import (
 )
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.whitening import CornerWeights
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 MIN_CORNERS = 4  # a planar pose has six unknowns; three corners leave several solutions
 

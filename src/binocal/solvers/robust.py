@@ -6,13 +6,12 @@ sigma per coordinate its length is Rayleigh distributed, so the median length is
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+from binocal.shapes import Bool, Float
 
 Kernel = Literal["squared", "cauchy", "hampel"]
 

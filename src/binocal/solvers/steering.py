@@ -9,13 +9,13 @@ are pure and work on a batch of rigs.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import LastIteration
 from binocal.kernels import observe as _observe
+from binocal.shapes import Bool, Float
 from binocal.solvers import robust
 from binocal.solvers.bundle import (
     BundleEquations,
@@ -32,9 +32,6 @@ from binocal.solvers.bundle import (
     solve_step,
     straightened,
 )
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 MAX_CORRECTION = 1.0  # of the step itself, in rotation: beyond, the series does not converge
 HARMLESS_TURN_RAD = 0.02  # a correction below this needs no such check

@@ -8,16 +8,13 @@ so the covariances count the less the larger it is; it is estimated from the res
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.evidence import Detections
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 MEDIAN_CORNERS = 4000  # evenly chosen; their median is known to 1.5 %
 MISFIT_STEPS = 20  # halvings of the bracket

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+from binocal.shapes import Bool, Float
 
+if TYPE_CHECKING:
     Batch = tuple[ndarray, ndarray, ndarray, ndarray, ndarray]
 
 

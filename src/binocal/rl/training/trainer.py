@@ -25,9 +25,9 @@ from binocal.rl.task import INCREMENT_REACH, ActionMeaning, n_actions, observati
 from binocal.rl.training.networks import Actor
 from binocal.rl.training.replay import ReplayBuffer
 from binocal.rl.training.td3 import TD3, TD3Options
+from binocal.shapes import Float
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
     from torch import Tensor
 
 SMALL_BOARD = "chessboard:7x5:32mm"  # the size of the paper's board with two fifths of its corners: episodes cost less
