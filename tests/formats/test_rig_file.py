@@ -1,4 +1,4 @@
-"""One door for every file that holds a rig."""
+"""One function reads every file that holds a rig."""
 
 import numpy as np
 import pytest

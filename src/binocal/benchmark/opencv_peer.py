@@ -1,4 +1,4 @@
-"""What the benchmarks compare with: OpenCV's fast road from an image to the rig, given what it does best.
+"""What the benchmarks compare with: OpenCV's fast pipeline from an image to the rig, given what it does best.
 
 The classic chessboard finder and ``cornerSubPix``; five distortion coefficients; exact board, no outliers. Intrinsics
 are refined jointly, or held as most tutorials do.
@@ -8,16 +8,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.errors import FormatError
 from binocal.evidence import Detections
 from binocal.shapes import Float
 
 WINDOW = (5, 5)  # of cornerSubPix: half its side
 Views = Sequence[ndarray]
+
+
+def read_grey(path: Path) -> ndarray:
+    """The grey levels of an image, as ``cv2.imread`` decodes it."""
+    import cv2
+
+    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if grey is None:
+        raise FormatError(path, "OpenCV cannot read it")
+    return grey
 
 
 def find_corners(grey: ndarray, board: Board) -> Float[ndarray, "n 1 2"] | None:
@@ -59,7 +71,7 @@ def calibrate_views(
 
 
 def run_opencv(detections: Detections) -> tuple[float, ndarray, ndarray]:
-    """Seconds, R and t of the joint road from corners that are all seen."""
+    """Seconds, R and t of the joint solve from corners that are all seen."""
     left, right = (
         [np.ascontiguousarray(p, dtype=np.float32)[:, None] for p in px]
         for px in (detections.left_px, detections.right_px)

@@ -1,4 +1,4 @@
-"""PNG pairs to the rig with two threads: binocal, OpenCV's road, and the decoding of the files alone.
+"""PNG pairs to the rig with two threads: binocal, OpenCV's pipeline, and the decoding of the files alone.
 
 OpenCV is given what it does best among its fast ways: the classic chessboard finder, ``cornerSubPix``, one calibration
 per camera and the joint stereo solve with five coefficients, its images read and searched by as many threads as
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_corners
+from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_corners, read_grey
 from binocal.benchmark.scenes import render_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
@@ -131,7 +131,7 @@ def _run_opencv(listed: Sequence[ImagePair]) -> StereoRigLike:
     board = parse_board(BOARD)
     paths = [path for pair in listed for path in (pair.left_path, pair.right_path)]
     with ThreadPoolExecutor(N_THREADS) as pool:
-        found = pool.map(lambda path: find_corners(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), board), paths)
+        found = pool.map(lambda path: find_corners(read_grey(path), board), paths)
         left, right = pair_corners(list(found))
     if len(left) < 3:
         return None

@@ -1,4 +1,4 @@
-"""Images to the rig: errors against the truth, binocal beside OpenCV's joint solve and the tutorials' road.
+"""Images to the rig: errors against the truth, binocal beside OpenCV's joint solve and the tutorials' pipeline.
 
 Rendered pairs of the paper's rig (table 2), blur 0.8 px, noise 3 grey levels; every method finds its own corners in the
 same files. OpenCV fits its five distortion coefficients, binocal the same ones, and what it does unasked: the model that
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_corners
+from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_corners, read_grey
 from binocal.benchmark.scenes import render_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
@@ -58,11 +58,9 @@ def run_rig_benchmark(*, pairs: int = 20, sets: int = 24, seed: int = 0) -> dict
 
 def _estimates(listed: list[ImagePair], size_wh: tuple[int, int]) -> dict[str, Pose]:
     """R and t of each method."""
-    import cv2
-
     board = parse_board(BOARD)
     paths = [path for pair in listed for path in (pair.left_path, pair.right_path)]
-    corners = [find_corners(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), board) for path in paths]
+    corners = [find_corners(read_grey(path), board) for path in paths]
     left, right = pair_corners(corners)
     detections = detect_pairs(listed, board).detections
     ways: dict[str, Callable[[], Pose]] = {

@@ -1,7 +1,7 @@
 """Time and peak memory against the number of pairs: images to corners, and corners to a rig with ``--max-views``.
 
 Every row runs in a process of its own, so that its peak memory is its own. Images of a long recording are a few
-rendered pairs over and over: finding corners does not know it, and nothing is held between them. OpenCV's road on all
+rendered pairs over and over: finding corners does not know it, and nothing is held between them. OpenCV's pipeline on all
 corners is timed in the same rows as far as its cubic growth allows.
 """
 

@@ -115,13 +115,13 @@ def run_solver_benchmark(
 
 
 def _added_memory(n_views: int, seed: int) -> dict[str, float]:
-    """Megabytes that each road adds to what its process holds, imports and corners included, each in a process of its own."""
+    """Megabytes that each method adds to what its process holds, imports and corners included, each in a process of its own."""
     names = ("binocal", "opencv") if n_views <= PEER_LIMIT_PAIRS else ("binocal",)
     return {f"{name}_added_mb": added_mb(_prepare, name, n_views, seed) for name in names}
 
 
 def _prepare(name: str, n_views: int, seed: int) -> Callable[[], Any]:
-    import cv2  # noqa: F401 - both roads start with it loaded
+    import cv2  # noqa: F401 - both methods start with it loaded
 
     _run_binocal(scene(8, seed)[1])
     return partial({"binocal": _run_binocal, "opencv": run_opencv}[name], scene(n_views, seed)[1])

@@ -64,7 +64,7 @@ def write_opencv(path: str | Path, rig: StereoRig, *, force: bool = False) -> No
         OutputExistsError: A file is there and ``force`` is False.
 
     Warns:
-        UserWarning: A fisheye lens: readers must be told to use ``cv2.fisheye``, the matrices look the same.
+        UserWarning: A fisheye lens: readers must use ``cv2.fisheye`` by themselves, the matrices look the same.
     """
     path = Path(path)
     check_writable_for_opencv(rig)

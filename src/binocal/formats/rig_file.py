@@ -1,4 +1,4 @@
-"""A rig from whatever file holds one, told apart by its content."""
+"""A rig from whatever file holds one, recognised by its content."""
 
 from __future__ import annotations
 

@@ -314,7 +314,7 @@ def _refit(
     """Rows, weights, residuals, sigma of suspect views, normalised; from four-corner fits if ``start`` is None."""
     is_seen = w > 0
     rows, residuals, sigma = _best_subset(frame, u, v, is_seen, n_seen) if start is None else start
-    depth = map_plane(rows, frame.xy)[2]
+    depth, weights = map_plane(rows, frame.xy)[2], w
     for iteration in range(6 if start is None else 4):
         width = np.maximum((4.0 if iteration < 2 else 3.0) * sigma, 1e-9)[:, None]
         weights = w / (1 + (residuals / width) ** 2) ** 2

@@ -87,6 +87,7 @@ def estimate_lifting(
         [np.zeros((1, 4)), np.eye(4)]
     )  # a candidate and its four finite differences at once
     lam, current, candidate = 1e-4, np.inf, best
+    N, gradient, sigma2 = np.zeros((4, 4)), np.zeros(4), 1.0  # stays at the coarse candidate if no residual is finite
     for _ in range(10):
         residuals = _residuals(candidate + offsets, frame, u, v, w)
         cost = float(_cost(residuals[:1])[0])

@@ -89,8 +89,8 @@ def estimate_intrinsics(
     if len(some) > MAX_VIEWS:
         some = some[np.linspace(0, len(some) - 1, MAX_VIEWS).round().astype(int)]
     u_some, v_some, w_some, seen_some = u[some], v[some], weights[some], is_seen[some]
-    aspect, is_renewed = 1.0, False
-    for _ in range(_MAX_ROUNDS):
+    aspect, is_renewed, n_rounds = 1.0, False, 0
+    while True:
         lifting = estimate_lifting(frame, u_some, v_some, w_some, size_wh, aspect)
         columns, covariance, distance = fit_lifted(lifting, frame, u_some, v_some, w_some)
         sigma = _view_sigma(distance, w_some)
@@ -109,6 +109,9 @@ def estimate_intrinsics(
         aspect = aspect if is_square else aspect * K[0, 0] / K[1, 1]
         if not is_same:
             w_some, is_renewed = renewed, True
+        n_rounds += 1
+        if n_rounds == _MAX_ROUNDS:
+            break
     if is_renewed:
         _, _, distance = fit_lifted(lifting, frame, u[usable], v[usable], weights[usable])
         weights = weights.copy()
@@ -199,7 +202,7 @@ def _refit_distortion(
         return np.sqrt(cost / total) if np.isfinite(cost) else np.inf, e_u, e_v
 
     before, e_u, e_v = rms(parameters)
-    slots = (5, 6) if np.count_nonzero(parameters[5:]) <= 2 else tuple(5 + np.flatnonzero(parameters[5:]))
+    slots = np.array([5, 6]) if np.count_nonzero(parameters[5:]) <= 2 else 5 + np.flatnonzero(parameters[5:])
     fx, fy = parameters[:2]
     if model == "fisheye4":
         r = np.hypot(X, Y)
@@ -220,7 +223,7 @@ def _refit_distortion(
     scale = 1 / np.sqrt(np.maximum(np.diag(AA), 1e-300))
     step = scale * np.linalg.lstsq(AA * scale * scale[:, None], b * scale, rcond=1e-8)[0]
     candidate = parameters.copy()
-    candidate[list(slots)] += step
+    candidate[slots] += step
     after = rms(candidate)[0]
     reach = np.linspace(0, float(np.max(np.where(weights > 0.05, base, 0.0))), 50)
     slope = 1 + sum(powers[slot - 5] * candidate[slot] * reach ** (powers[slot - 5] - 1) for slot in slots)

@@ -96,6 +96,7 @@ def estimate_relative_pose(
 
     own_px = np.sqrt((np.square(left.rms_px[both]) + np.square(right.rms_px[both])) / 2)
     right_form = _with_symmetry(right, both, S[symmetry])
+    R_board, t_board, miss_px, limit_px = L.R, L.t, least, _FLOOR_PX
     for _ in range(2):
         T, R_board, t_board, miss_px = _refine(T, L, left, right_form, both, agrees, n_iterations)
         typical = float(np.median(miss_px[agrees]))

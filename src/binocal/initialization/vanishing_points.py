@@ -242,7 +242,8 @@ def _view_weights(residuals: Float[ndarray, "views 2"]) -> Float[ndarray, "views
 def _scan_focal(columns: ndarray, covariance: ndarray) -> Float[ndarray, "3 3"]:
     """Centred K with the focal length of least robust cost among 40 candidates."""
     theta = np.zeros((40, 5))
-    theta[:, 0] = np.linspace(*np.log(FOCAL_RANGE), 40)
+    shortest, longest = np.log(FOCAL_RANGE)
+    theta[:, 0] = np.linspace(shortest, longest, 40)
     residuals, _ = _whitened(theta, columns, covariance)
     cost = np.sum(np.log1p(np.sum(residuals**2, axis=-1) / 9), axis=-1)
     return _unpack(theta[int(np.argmin(cost))])
@@ -266,6 +267,7 @@ def _polish(
     prior_sigma = np.r_[sigma, 0.2, sigma_centre, 0.02][:n_free]
     prior = 1 / prior_sigma**2
     step_size = 1e-6 * np.eye(5)[:n_free]
+    information = np.zeros((n_free, n_free))
     for _ in range(8):
         residuals, W = _whitened(theta, columns, covariance)
         weights = _view_weights(residuals)
@@ -360,6 +362,7 @@ def check_orientations(
     weight = np.linalg.inv(C + 1e-12 * np.eye(2))
     keep = np.ones(len(slopes), dtype=bool)
     mean = np.median(slopes, axis=0)
+    d, distance = slopes - mean, np.zeros(len(slopes))
     for _ in range(2):
         mean = np.linalg.solve(weight[keep].sum(axis=0), (weight[keep] @ slopes[keep][..., None]).sum(axis=0))[:, 0]
         d = slopes - mean

@@ -50,7 +50,7 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     limit_px = residual_px / CLEAR_FACTOR
     for k in range(1, len(symmetries.names) if len(suspects) else 1):
         views = detections.select(suspects)
-        moved = views.reorder("right", dict.fromkeys(range(views.n_views), symmetries.order[k]))
+        moved = views.reorder("right", {view: symmetries.order[k] for view in range(views.n_views)})
         poses = estimate_board_poses(rig, moved)
         for i in np.flatnonzero(_typical_px(poses) < limit_px[suspects]):
             view = suspects[i]

@@ -102,7 +102,8 @@ def drop_view(detections: Detections, view: int, *, side: Side = "left") -> Dete
 
 def swap_image_size(detections: Detections) -> Detections:
     """States (height, width) where (width, height) is due."""
-    return state_image_size(detections, detections.left_size_wh[::-1])
+    width, height = detections.left_size_wh
+    return state_image_size(detections, (height, width))
 
 
 def state_image_size(detections: Detections, size_wh: tuple[int, int]) -> Detections:

@@ -141,7 +141,7 @@ def sample_scene(
 def fronto_parallel(
     rig: StereoRig, board: Board, n_views: int, rng: np.random.Generator, options: PoseOptions | None = None
 ) -> SE3:
-    """Poses parallel to the left image plane: focal lengths and distances cannot be told apart (degenerate)."""
+    """Poses parallel to the left image plane: focal lengths and distances cannot be separated (degenerate)."""
     return sample_board_poses(rig, board, n_views, rng, replace(options or PoseOptions(), tilt_deg=(0.0, 0.0)))
 
 
