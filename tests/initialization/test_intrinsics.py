@@ -8,6 +8,8 @@ import pytest
 from simulated_rigs import TABLE2, rotation_error_deg, simulate, with_outliers
 
 from binocal.errors import TooFewViewsError
+from binocal.geometry.homography import PlaneFrame
+from binocal.initialization.distortion import estimate_lifting
 from binocal.initialization.intrinsics import estimate_intrinsics
 
 WIDE_BROWN = np.array([700, 700, 641, 470, 0, -0.35, 0.12, 1e-3, -5e-4])
@@ -108,3 +110,14 @@ def test_real_fisheye_images() -> None:
     assert len(views) >= 6
     assert camera.rms_px < 0.3  # measured 0.12 over 20 views, at OpenCV's refined 0.136
     assert 320 < camera.parameters[0] < 350
+
+
+def test_a_lens_whose_residuals_are_not_finite_is_left_at_the_prior() -> None:
+    # coordinates whose squares overflow: no candidate has a finite cost
+    column, row = np.meshgrid(np.arange(6.0), np.arange(5.0))
+    points = np.c_[column.ravel(), row.ravel(), np.zeros(30)]
+    u, v = (np.tile(1e160 * axis.ravel(), (4, 1)) for axis in (column, row))
+    with np.errstate(all="ignore"):
+        lifting = estimate_lifting(PlaneFrame.of(points), u, v, np.ones(u.shape), (640, 480), 1.0)
+    assert np.array_equal(lifting.centre_px, [319.5, 239.5])
+    assert np.allclose(lifting.sigma_centre, 0.3)  # the prior's
