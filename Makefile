@@ -1,4 +1,5 @@
 # make demo: render, calibrate and compare.  make test: what CI runs.  make lint: the checks without the tests.
+# make fast: the fast tests alone.  make coverage: their branch coverage, with a floor.
 # Each makes .venv and the compiled kernel first, and anew when pyproject.toml, constraints.txt or a kernel changes; the demonstration needs
 # no more than a user has, the tests also what trains the agent.
 
@@ -7,16 +8,26 @@ BIN := $(VENV)/bin
 PYTHONS := python3 python3.14 python3.13 python3.12 python3.11 python
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: demo test lint docs
+.PHONY: demo test fast lint coverage docs
 
 demo: $(VENV)/.core
 	@$(BIN)/binocal demo --output binocal-demo --force
 
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto
+
+fast: $(VENV)/.stamp
+	$(BIN)/pytest -n auto -m "not slow"
+
+coverage: $(VENV)/.stamp
+	@mkdir -p build/coverage && rm -f build/coverage/data*
+	$(BIN)/coverage run -m pytest -q -n auto -m "not slow"
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report
 
 lint: $(VENV)/.stamp
 	$(BIN)/ruff check src tests docs examples
+	$(BIN)/ruff format --check src tests docs examples
 	$(BIN)/lint-imports
 
 docs: $(VENV)/.stamp
