@@ -3,11 +3,34 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import jaxtyping
 import pytest
 from hypothesis import settings
 
+# Before binocal is imported: what it states of types and shapes is checked at every call of the test run.
+CHECKED = [
+    "geometry",
+    "cameras",
+    "boards",
+    "images",
+    "datasets",
+    "simulation",
+    "metrics",
+    "initialization",
+    "rectification",
+]
+jaxtyping.install_import_hook([f"binocal.{name}" for name in CHECKED], "shape_checks.checked")
+
 settings.register_profile("binocal", deadline=None, max_examples=50, print_blob=True)
 settings.load_profile("binocal")
+
+
+@pytest.fixture
+def unchecked_types():
+    """Lets wrong types through to a function's own checks, which are what a test of the caller's mistakes is about."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="session")

@@ -109,7 +109,7 @@ def test_a_rig_without_a_side_is_refused():
 
 
 def test_pixels_without_a_ray_are_nan():
-    camera = Camera("brown4", (640, 480), [500, 500, 320, 240, 0, -0.5, 0, 0, 0])
+    camera = Camera("brown4", (640, 480), np.array([500, 500, 320, 240, 0, -0.5, 0, 0, 0]))
     rig = StereoRig(camera, camera, SE3(np.eye(3), np.array([-0.1, 0, 0])))
     r = rectify(rig)
     points = rectify_points(

@@ -20,10 +20,16 @@ else:
         def __init__(self, name: str) -> None:
             self._name = name
 
-        def __getitem__(self, item: tuple[Any, str]) -> Any:
+        def __getitem__(self, item: tuple[type, str]) -> Any:
             import jaxtyping
+            import numpy as np
 
-            return getattr(jaxtyping, self._name)[item]
+            array_type, shape = item
+            kind = getattr(jaxtyping, self._name)
+            if array_type is np.ndarray and shape.startswith(("*", "...")):
+                # NumPy's functions return a scalar (np.float64) for an array without axes.
+                return kind[array_type, shape] | kind[np.generic, shape]
+            return kind[array_type, shape]
 
         def __repr__(self) -> str:
             return f"jaxtyping.{self._name}"

@@ -15,6 +15,7 @@ def test_opencv_reads_the_same_pixels(dtype, shape):
     np.testing.assert_array_equal(cv2.imdecode(content, cv2.IMREAD_UNCHANGED), image)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_anything_else_is_refused():
     with pytest.raises(ValueError, match="grey image"):
         encode_png(np.zeros((3, 3, 3), dtype=np.uint8))

@@ -150,7 +150,7 @@ def test_sides_of_every_board(spec, side_m, n_sides):
 
 
 def test_a_vertical_rig_misses_columns():
-    camera = Camera("brown4", (1280, 960), [1600, 1600, 640, 480, 0, 0, 0, 0, 0])
+    camera = Camera("brown4", (1280, 960), np.array([1600.0, 1600, 640, 480, 0, 0, 0, 0, 0]))
     rig = replace(make_rig(t=(0.0, -0.06, 0.0), rotation_rad=(0, 0, 0)), left=camera, right=camera)
     detections = make_detections(rig, make_poses(3, np.random.default_rng(0)))
     shifted = replace(detections, right_px=detections.right_px + [0.7, 0.0])

@@ -101,6 +101,7 @@ def test_halved_resolution_keeps_the_pixel_convention(clean):
     assert np.array_equal(halved.left_px, clean.left_px)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_zero_and_missing_views(clean):
     assert not zero_view(clean, 4).left_px[4].any()
     assert _changed_views(clean, zero_view(clean, 4), "left") == [4]

@@ -168,6 +168,7 @@ def test_same_seed_same_image_and_other_seed_other_clutter():
     assert np.abs(images[0].astype(int) - images[2]).mean() > 5
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_wrong_poses_and_options_are_refused():
     rig = table2_rig()
     rng = np.random.default_rng(0)

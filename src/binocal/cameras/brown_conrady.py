@@ -17,7 +17,9 @@ def _split(parameters: ndarray) -> list[ndarray]:
     return [parameters[..., i, None] for i in range(parameters.shape[-1])]
 
 
-def _radial(r2: ndarray, d: list[ndarray]) -> tuple[ndarray, ndarray, ndarray | None]:
+def _radial(
+    r2: Float[ndarray, "*batch"], d: list[Float[ndarray, "..."]]
+) -> tuple[Float[ndarray, "..."], Float[ndarray, "..."], Float[ndarray, "..."] | None]:
     """Radial factor, its derivative by r², and the denominator (None where the model has none)."""
     if len(d) == 4:
         return 1 + r2 * (d[0] + r2 * d[1]), d[0] + (2 * d[1]) * r2, None

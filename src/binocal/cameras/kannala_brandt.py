@@ -17,14 +17,18 @@ def _split(parameters: ndarray) -> list[ndarray]:
     return [parameters[..., i, None] for i in range(parameters.shape[-1])]
 
 
-def _polynomial(theta2: ndarray, k: list[ndarray]) -> tuple[ndarray, ndarray]:
+def _polynomial(
+    theta2: Float[ndarray, "*batch"], k: list[Float[ndarray, "..."]]
+) -> tuple[Float[ndarray, "..."], Float[ndarray, "..."]]:
     """theta_d / theta and d theta_d / d theta."""
     ratio = 1 + theta2 * (k[0] + theta2 * (k[1] + theta2 * (k[2] + theta2 * k[3])))
     slope = 1 + theta2 * (3 * k[0] + theta2 * (5 * k[1] + theta2 * (7 * k[2] + 9 * theta2 * k[3])))
     return ratio, slope
 
 
-def _direction(X: ndarray, Y: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+def _direction(
+    X: Float[ndarray, "*batch"], Y: Float[ndarray, "*batch"]
+) -> tuple[Float[ndarray, "*batch"], Float[ndarray, "*batch"], Float[ndarray, "*batch"]]:
     """Distance from the axis, and the unit direction away from it; on the axis itself the direction is x."""
     r = np.hypot(X, Y)
     is_axis = r < 1e-15

@@ -65,7 +65,7 @@ def monomials(x: Float[ndarray, "*n"], y: Float[ndarray, "*n"]) -> Float[ndarray
 
 
 def plane_moments(
-    basis: Float[ndarray, "n 6"],
+    basis: Float[ndarray, "*#batch n 6"],
     u: Float[ndarray, "*batch n"],
     v: Float[ndarray, "*batch n"],
     w: Float[ndarray, "*batch n"],

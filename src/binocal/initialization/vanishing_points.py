@@ -186,8 +186,10 @@ def _unpack(theta: Float[ndarray, "5"]) -> Float[ndarray, "3 3"]:
     return np.array([[f, theta[4] * f, theta[2]], [0, f * np.exp(theta[1]), theta[3]], [0, 0, 1]])
 
 
-def _back_project(theta: Float[ndarray, "*batch 5"], columns: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-    """``K⁻¹ [h1 h2]`` by view (*batch, views, 3, 2), and the entries of K⁻¹'s first two rows."""
+def _back_project(
+    theta: Float[ndarray, "*batch 5"], columns: ndarray
+) -> tuple[ndarray, ndarray, Float[ndarray, "*batch"]]:
+    """``K⁻¹ [h1 h2]`` by view (*batch, views, 3, 2), K⁻¹ itself, and K's focal length along x."""
     fx = np.exp(theta[..., 0])
     fy = fx * np.exp(theta[..., 1])
     inverse = np.zeros((*theta.shape[:-1], 3, 3))
@@ -227,7 +229,7 @@ def _whitener(theta: Float[ndarray, "*batch 5"], columns: ndarray, covariance: n
     return out
 
 
-def _whitened(theta: Float[ndarray, "5"], columns: ndarray, covariance: ndarray) -> tuple[ndarray, ndarray]:
+def _whitened(theta: Float[ndarray, "*batch 5"], columns: ndarray, covariance: ndarray) -> tuple[ndarray, ndarray]:
     W = _whitener(theta, columns, covariance)
     return (W @ _constraints(theta, columns)[..., None])[..., 0], W
 

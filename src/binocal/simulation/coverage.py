@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy import ndarray
@@ -31,6 +31,7 @@ class Footprint:
     y_v: ndarray
 
 
+@runtime_checkable
 class Sheet(Protocol):
     """A printed sheet of paper."""
 

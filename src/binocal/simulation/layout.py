@@ -32,8 +32,8 @@ _TAG36H11_ID0 = (
 class CellPrint:
     """A rectilinear grid of cells: ``ink`` is 1 where black is printed. Edges are in pitches, ascending."""
 
-    x_edges: Float[ndarray, "columns+1"]
-    y_edges: Float[ndarray, "rows+1"]
+    x_edges: Float[ndarray, "columns_and_one"]
+    y_edges: Float[ndarray, "rows_and_one"]
     ink: Int[ndarray, "rows columns"]
 
 

@@ -202,8 +202,8 @@ def _sheet_window(
 
 
 def _sample_board(
-    rays: Float[ndarray, "3 h+2 w+2"], T_camera_board: SE3, board: Board, sheet: Sheet, options: RenderOptions
-) -> tuple[Float[ndarray, "4h 4w"], Float[ndarray, "h w"]]:
+    rays: Float[ndarray, "3 h w"], T_camera_board: SE3, board: Board, sheet: Sheet, options: RenderOptions
+) -> tuple[Float[ndarray, "4*(h-2) 4*(w-2)"], Float[ndarray, "h-2 w-2"]]:
     """Light of the sheet on the fine grid (0 where no sheet is), and the sheet's coverage of each pixel."""
     import cv2
 
