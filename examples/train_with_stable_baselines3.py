@@ -11,7 +11,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 import binocal  # noqa: F401  registers binocal/StereoExtrinsics-v0
 
 
-def judge(model: TD3, title: str, n_episodes: int = 100) -> None:
+def evaluate(model: TD3, title: str, n_episodes: int = 100) -> None:
     """Prints the share of rigs never trained on that arrive at the optimum, and the mean number of steps."""
     env, steps, arrived = gymnasium.make("binocal/StereoExtrinsics-v0", pool_seed=1), 0, 0
     for seed in range(n_episodes):
@@ -27,6 +27,6 @@ torch.set_num_threads(1)  # networks this small are slower when shared among thr
 env = gymnasium.make("binocal/StereoExtrinsics-v0", pool_seed=0, pool_size=256)
 noise = NormalActionNoise(np.zeros(6), np.full(6, 0.2))
 model = TD3("MlpPolicy", env, gamma=0.97, action_noise=noise, policy_kwargs={"net_arch": [64, 64]}, seed=0)
-judge(model, "before")
+evaluate(model, "before")
 model.learn(total_timesteps=int(sys.argv[1]) if len(sys.argv) > 1 else 5000)
-judge(model, "after")
+evaluate(model, "after")

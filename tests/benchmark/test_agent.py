@@ -4,25 +4,26 @@ import numpy as np
 import pytest
 
 from binocal.benchmark.agent import CLASSICAL
+from binocal.rl.agent_kind import AgentKind
 from binocal.rl.evaluation import (
     CORRECTED,
     MEAN_ACTION,
     compare_on,
     format_rows,
-    held_out_cases,
-    simulated_exam,
-    solve_cases,
+    held_out_rigs,
+    simulated_evaluation_set,
+    solve_rigs,
     tolerance_of,
 )
 from binocal.rl.policy import LearnedController, shipped_policy
-from binocal.rl.rig_batches import CASE_SETS
+from binocal.rl.rig_batches import RIG_SETS
 from binocal.rl.task import MAX_STEPS
 from binocal.solvers.controllers import Marquardt
 
 
 @pytest.mark.slow
 def test_all_controllers_have_a_row_and_the_text_shows_them():
-    rows = compare_on(simulated_exam("weak", 24, seed=0), {"drl": shipped_policy("steering")})
+    rows = compare_on(simulated_evaluation_set("weak", 24, seed=0), {"drl": shipped_policy(AgentKind.DRL)})
     assert {row.controller for row in rows} == {*CLASSICAL, CORRECTED, MEAN_ACTION, "drl"}
     assert all(row.n_rigs == 24 and 1 <= row.mean <= MAX_STEPS and 0 <= row.arrived <= 1 for row in rows)
     text = format_rows(rows)
@@ -30,25 +31,25 @@ def test_all_controllers_have_a_row_and_the_text_shows_them():
 
 
 def test_rigs_that_do_not_arrive_count_in_full():
-    cases, start = held_out_cases("weak", 6, 0)
-    outcome = solve_cases(cases, start, Marquardt(), tolerance_of("weak"), max_steps=1)
+    rigs, start = held_out_rigs("weak", 6, 0)
+    outcome = solve_rigs(rigs, start, Marquardt(), tolerance_of("weak"), max_steps=1)
     assert not outcome.has_arrived.any() and np.all(outcome.n_iterations == MAX_STEPS)
 
 
 def test_packing_the_batch_changes_no_rig():
-    cases, start = held_out_cases("stress", 12, 1)
-    controller = LearnedController(shipped_policy("steering"))
-    together = solve_cases(cases, start, controller, 0.3).n_iterations
+    rigs, start = held_out_rigs("stress", 12, 1)
+    controller = LearnedController(shipped_policy(AgentKind.DRL))
+    together = solve_rigs(rigs, start, controller, 0.3).n_iterations
     from binocal.rl.rig_batches import take_rigs
 
     alone = [
-        int(solve_cases(cases.select(i), take_rigs(start, i), controller, 0.3).n_iterations[0])
+        int(solve_rigs(rigs.select(i), take_rigs(start, i), controller, 0.3).n_iterations[0])
         for i in (np.array([k]) for k in range(12))
     ]
     assert together.tolist() == alone
 
 
 def test_sets_are_held_out_by_name_and_seed():
-    starts = [held_out_cases(name, 2, seed)[1].R_right_left for name in ("standard", "weak") for seed in (0, 1)]
+    starts = [held_out_rigs(name, 2, seed)[1].R_right_left for name in ("standard", "weak") for seed in (0, 1)]
     assert all(not np.allclose(a, b) for i, a in enumerate(starts) for b in starts[i + 1 :])
-    assert set(CASE_SETS) == {"standard", "weak", "stress", "good start", "unseen"}
+    assert set(RIG_SETS) == {"standard", "weak", "stress", "good start", "unseen"}

@@ -10,6 +10,7 @@ from binocal.benchmark.agent import largest_difference_sigma
 from binocal.boards import parse_board
 from binocal.calibrators.base import CalibrationOptions
 from binocal.calibrators.learned import calibrate_with_policy
+from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import Policy, shipped_policy
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.simulation.corruptions import flip_view
@@ -34,7 +35,7 @@ def always_led(monkeypatch):
 
 
 def with_weights(change):
-    policy = shipped_policy("steering")
+    policy = shipped_policy(AgentKind.DRL)
     return replace(policy, layers=tuple((change(w), change(b)) for w, b in policy.layers))
 
 
@@ -95,4 +96,4 @@ def test_a_good_start_needs_no_agent_and_takes_the_steps_of_lm():
 
 
 def test_no_policy_is_asked_for_torch():
-    assert isinstance(shipped_policy("steering"), Policy)
+    assert isinstance(shipped_policy(AgentKind.DRL), Policy)

@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocal.rl.rig_batches import CASE_SETS, Cases, sample_cases
+from binocal.rl.rig_batches import RIG_SETS, RigBatch, sample_rigs
 
 
 @pytest.fixture(scope="session")
-def cases() -> Cases:
+def rigs() -> RigBatch:
     """Twelve rigs of the standard set."""
-    return sample_cases(CASE_SETS["standard"], 12, np.random.default_rng(7))
+    return sample_rigs(RIG_SETS["standard"], 12, np.random.default_rng(7))
 
 
 @pytest.fixture

@@ -16,7 +16,8 @@ import gymnasium
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from binocal.rl.env import Rigs, StereoExtrinsicsEnv, StereoExtrinsicsVectorEnv
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.env import EnvOptions, StereoExtrinsicsEnv, StereoExtrinsicsVectorEnv
 from binocal.rl.registration import ENV_ID, register
 from binocal.rl.task import MAX_STEPS, observation_names
 
@@ -31,16 +32,16 @@ def make_vec(num_envs: int = 6, **options):
     return gymnasium.make_vec(ENV_ID, num_envs=num_envs, **{**FEW, **options})
 
 
-@pytest.mark.parametrize("meaning", ["steering", "increments"])
-@pytest.mark.parametrize("case_set", ["standard", "stress"])
-def test_gymnasium_finds_nothing_to_warn_of(case_set, meaning):
-    check_env(make(case_set=case_set, meaning=meaning).unwrapped)
+@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
+@pytest.mark.parametrize("rig_set", ["standard", "stress"])
+def test_gymnasium_finds_nothing_to_warn_of(rig_set, kind):
+    check_env(make(rig_set=rig_set, kind=kind).unwrapped)
 
 
-@pytest.mark.parametrize("meaning", ["steering", "increments"])
-def test_stable_baselines3_finds_nothing_to_warn_of(meaning):
+@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
+def test_stable_baselines3_finds_nothing_to_warn_of(kind):
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="its checker is what is asked")
-    checker.check_env(make(meaning=meaning), warn=True)
+    checker.check_env(make(kind=kind), warn=True)
 
 
 @pytest.mark.parametrize(
@@ -66,13 +67,13 @@ def test_registering_again_changes_nothing(recwarn):
 
 def test_spaces_are_named_and_finite():
     env = make().unwrapped
-    assert env.observation_names == observation_names("steering")
+    assert env.observation_names == observation_names(AgentKind.DRL)
     assert env.observation_space.shape == (len(env.observation_names),) and env.action_space.shape == (6,)
     assert env.observation_space.is_bounded() and env.observation_space.dtype == env.action_space.dtype == np.float32
 
 
 def test_observations_stay_in_their_space_whatever_is_done():
-    envs = make_vec(12, case_set="stress")
+    envs = make_vec(12, rig_set="stress")
     rng, (seen, _) = np.random.default_rng(0), envs.reset(seed=0)
     for _ in range(30):
         assert envs.observation_space.contains(seen)
@@ -105,11 +106,11 @@ def test_a_step_alters_no_state_and_no_observation_given_out():
     seen, _ = env.reset(seed=0)
     before = env._batch
     kept = copy.deepcopy(
-        (seen, before.state.loop.estimate.R_right_left, before.sigma, before.cases.problem.cameras[0].pixels)
+        (seen, before.state.loop.estimate.R_right_left, before.sigma, before.rigs.problem.cameras[0].pixels)
     )
     env.step(np.full(6, 0.5, dtype=np.float32))
     assert env._batch is not before
-    now = (seen, before.state.loop.estimate.R_right_left, before.sigma, before.cases.problem.cameras[0].pixels)
+    now = (seen, before.state.loop.estimate.R_right_left, before.sigma, before.rigs.problem.cameras[0].pixels)
     for a, b in zip(now, kept, strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -135,9 +136,9 @@ def test_arrival_terminates_and_time_truncates():
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-@pytest.mark.parametrize("meaning", ["steering", "increments"])
-def test_the_vector_form_is_the_single_form_n_times(mode, meaning):
-    options = {"meaning": meaning, "max_episode_steps": 5, **FEW}
+@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
+def test_the_vector_form_is_the_single_form_n_times(mode, kind):
+    options = {"kind": kind, "max_episode_steps": 5, **FEW}
     ours = make_vec(autoreset_mode=mode, **options)
     plain = gymnasium.make_vec(
         ENV_ID, num_envs=6, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **options
@@ -151,7 +152,7 @@ def test_the_vector_form_is_the_single_form_n_times(mode, meaning):
     n_ended = np.zeros(2, dtype=int)
     for _ in range(40):
         # random increments come nowhere near, so these follow the Newton step, which is what the last six numbers tell
-        action = rng.uniform(-0.2, 0.2, (6, 6)) if meaning == "steering" else got[0][:, -6:] / 1.5
+        action = rng.uniform(-0.2, 0.2, (6, 6)) if kind == AgentKind.DRL else got[0][:, -6:] / 1.5
         got, want = ours.step(np.float32(action)), plain.step(np.float32(action))
         # an arrival at the last step is no truncation; Gymnasium's TimeLimit says both
         assert_alike(got, (*want[:3], want[3] & ~want[2], want[4]))
@@ -198,8 +199,8 @@ def test_what_a_step_gives_out_is_not_written_to_later():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"case_set": "hard"}, "case_set must be one of standard"),
-        ({"meaning": "guess"}, "meaning must be steering or increments"),
+        ({"rig_set": "hard"}, "rig_set must be one of standard"),
+        ({"kind": "guess"}, "kind must be drl or drl-increments"),
         ({"pool_size": 0}, "pool_size must be 1 or more"),
         ({"tolerance_sigma": 0.0}, "tolerance_sigma must be above 0"),
     ],
@@ -222,8 +223,8 @@ def test_wrong_use_is_named():
 
 
 def test_stress_is_judged_at_its_own_tolerance():
-    assert Rigs().arrival_sigma == 0.1 and Rigs("stress").arrival_sigma == 0.3
-    assert Rigs("stress", tolerance_sigma=0.2).arrival_sigma == 0.2
+    assert EnvOptions().arrival_sigma == 0.1 and EnvOptions("stress").arrival_sigma == 0.3
+    assert EnvOptions("stress", tolerance_sigma=0.2).arrival_sigma == 0.2
 
 
 @pytest.mark.slow

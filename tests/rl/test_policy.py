@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from binocal.errors import FormatError
+from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import ConstantController, LearnedController, Policy, load_policy, save_policy, shipped_policy
-from binocal.rl.rig_batches import CASE_SETS, sample_cases, sample_starts
+from binocal.rl.rig_batches import RIG_SETS, sample_rigs, sample_starts
 from binocal.rl.task import KERNEL, observation_names
 from binocal.solvers.steering import advance, begin
 
 
-def make_policy(scale=0.3, meaning="steering", seed=0):
+def make_policy(scale=0.3, kind=AgentKind.DRL, seed=0):
     rng = np.random.default_rng(seed)
-    n = len(observation_names(meaning))
+    n = len(observation_names(kind))
     sizes = (n, 16, 6)
     layers = tuple(
         (
@@ -23,13 +24,13 @@ def make_policy(scale=0.3, meaning="steering", seed=0):
         )
         for a, b in pairwise(sizes)
     )
-    return Policy(meaning, np.zeros(n), np.ones(n), layers, {"seed": seed})
+    return Policy(kind, np.zeros(n), np.ones(n), layers, {"seed": seed})
 
 
 @pytest.fixture(scope="module")
 def case():
-    cases = sample_cases(CASE_SETS["weak"], 3, np.random.default_rng(0))
-    return cases, sample_starts(cases, np.random.default_rng(1))
+    rigs = sample_rigs(RIG_SETS["weak"], 3, np.random.default_rng(0))
+    return rigs, sample_starts(rigs, np.random.default_rng(1))
 
 
 def test_files_hold_the_policy_and_its_card(tmp_path):
@@ -38,7 +39,7 @@ def test_files_hold_the_policy_and_its_card(tmp_path):
     loaded = load_policy(tmp_path / "p.safetensors")
     seen = np.random.default_rng(2).standard_normal((5, len(policy.mean)))
     assert np.allclose(loaded(seen), policy(seen), atol=1e-6)
-    assert loaded.card == {"seed": 0} and loaded.meaning == "steering"
+    assert loaded.card == {"seed": 0} and loaded.kind == AgentKind.DRL
 
 
 def test_numpy_gives_what_the_network_gives():
@@ -51,7 +52,7 @@ def test_numpy_gives_what_the_network_gives():
     actor.spread.copy_(torch.rand(31) + 0.5)
     arrays = {name: value.numpy().astype(float) for name, value in actor.state_dict().items()}
     layers = tuple((arrays[f"body.{i}.weight"], arrays[f"body.{i}.bias"]) for i in (0, 2, 4))
-    policy = Policy("steering", arrays["mean"], arrays["spread"], layers, {})
+    policy = Policy(AgentKind.DRL, arrays["mean"], arrays["spread"], layers, {})
     seen = 10 * np.random.default_rng(3).standard_normal((7, 31))
     with torch.no_grad():
         expected = actor(torch.as_tensor(seen, dtype=torch.float32)).numpy()
@@ -71,33 +72,33 @@ def test_a_wrong_file_is_named(tmp_path, damage):
         save_file({"a": np.zeros(3)}, str(path))
     else:
         policy = make_policy()
-        fewer = Policy("steering", np.zeros(5), np.ones(5), ((np.zeros((6, 5)), np.zeros(6)),), policy.card)
+        fewer = Policy(AgentKind.DRL, np.zeros(5), np.ones(5), ((np.zeros((6, 5)), np.zeros(6)),), policy.card)
         save_policy(fewer, path)
     with pytest.raises(FormatError, match=r"w\.safetensors"):
         load_policy(path)
 
 
-@pytest.mark.parametrize("meaning", ["steering", "increments"])
-def test_shipped_weights_fit_and_are_small(meaning):
+@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
+def test_shipped_weights_fit_and_are_small(kind):
     from importlib import resources
 
-    policy = shipped_policy(meaning)
-    assert policy.meaning == meaning and len(policy.mean) == len(observation_names(meaning))
+    policy = shipped_policy(kind)
+    assert policy.kind == kind and len(policy.mean) == len(observation_names(kind))
     assert policy.card["command"].startswith("binocal train") and policy.card["seed"] >= 0
     folder = resources.files("binocal.rl") / "weights"
     assert sum(len(file.read_bytes()) for file in folder.iterdir() if file.name.endswith("safetensors")) < 200_000
 
 
 def test_rejections_raise_the_damping_whatever_the_policy_says(case):
-    cases, start = case
-    controller, state = LearnedController(make_policy()), begin(cases.problem, start, KERNEL)
+    rigs, start = case
+    controller, state = LearnedController(make_policy()), begin(rigs.problem, start, KERNEL)
     memory = controller.start((3,))
     from dataclasses import replace
 
     damping = []
     for _ in range(3):
         state = replace(state, is_kept=np.array([False, False, True]))
-        action, memory = controller.choose(cases.problem, state, memory)
+        action, memory = controller.choose(rigs.problem, state, memory)
         damping.append(action.damping)
     damping = np.array(damping)
     assert np.all(damping[1:, :2] >= 30 * 1e-3 - 1e-12) and np.all(damping[2, :2] >= 0.9 - 1e-12)
@@ -105,22 +106,22 @@ def test_rejections_raise_the_damping_whatever_the_policy_says(case):
 
 
 def test_a_policy_that_is_not_finite_says_so_for_its_rigs_alone(case):
-    cases, start = case
+    rigs, start = case
     good = make_policy()
     broken = Policy(
-        "steering", good.mean, good.spread, ((good.layers[0][0] * np.nan, good.layers[0][1]), good.layers[1]), {}
+        AgentKind.DRL, good.mean, good.spread, ((good.layers[0][0] * np.nan, good.layers[0][1]), good.layers[1]), {}
     )
     action, memory = LearnedController(broken).choose(
-        cases.problem, begin(cases.problem, start, KERNEL), LearnedController(broken).start((3,))
+        rigs.problem, begin(rigs.problem, start, KERNEL), LearnedController(broken).start((3,))
     )
     assert np.isnan(action.damping).all() and np.all(memory["last_action"] == 0)
 
 
 def test_a_constant_controller_looks_at_nothing(case):
-    cases, start = case
+    rigs, start = case
     constant = ConstantController(np.array([0.2, 0.0, 0.1, -0.1, 0.5, 0.3]))
-    state = begin(cases.problem, start, KERNEL)
-    first, memory = constant.choose(cases.problem, state, constant.start((3,)))
-    second, _ = constant.choose(cases.problem, advance(cases.problem, state, first, KERNEL), memory)
+    state = begin(rigs.problem, start, KERNEL)
+    first, memory = constant.choose(rigs.problem, state, constant.start((3,)))
+    second, _ = constant.choose(rigs.problem, advance(rigs.problem, state, first, KERNEL), memory)
     assert np.array_equal(first.scale_factor, second.scale_factor) and np.array_equal(first.stretch, second.stretch)
     assert np.array_equal(first.pose_damping, second.pose_damping)

@@ -9,87 +9,87 @@ import pytest
 
 from binocal.geometry import so3
 from binocal.rl import rig_batches as module
-from binocal.rl.rig_batches import CASE_SETS, distance_sigma, sample_cases, sample_starts, take_rigs
+from binocal.rl.rig_batches import RIG_SETS, distance_sigma, sample_rigs, sample_starts, take_rigs
 from binocal.solvers.bundle import residual_lengths2
 from binocal.solvers.steering import begin
 
-FEW_VIEWS = replace(CASE_SETS["standard"], n_views=8)
+FEW_VIEWS = replace(RIG_SETS["standard"], n_views=8)
 
 
-def test_the_optimum_is_at_distance_zero_and_stationary(cases):
-    assert distance_sigma(cases, cases.optimum).max() < 1e-6
+def test_the_optimum_is_at_distance_zero_and_stationary(rigs):
+    assert distance_sigma(rigs, rigs.optimum).max() < 1e-6
     # the kernel's scale is the MAD noise here and there, so the Newton step over all unknowns must vanish: measured 2e-3
-    assert begin(cases.problem, cases.optimum, "hampel").decrement_sigma.max() < 1e-2
+    assert begin(rigs.problem, rigs.optimum, "hampel").decrement_sigma.max() < 1e-2
 
 
-def test_a_step_of_one_sigma_is_at_distance_one(cases):
+def test_a_step_of_one_sigma_is_at_distance_one(rigs):
     for axis in range(6):
-        covariance = np.linalg.inv(cases.whitening.swapaxes(-1, -2) @ cases.whitening)
+        covariance = np.linalg.inv(rigs.whitening.swapaxes(-1, -2) @ rigs.whitening)
         xi = (
             covariance[:, :, axis] / np.sqrt(covariance[:, axis, axis])[:, None]
         )  # to the ellipsoid's edge on that axis
         turn = so3.exp(xi[:, :3])
         moved = replace(
-            cases.optimum,
-            R_right_left=turn @ cases.optimum.R_right_left,
-            t_right_left=(turn @ cases.optimum.t_right_left[..., None])[..., 0] + xi[:, 3:],
+            rigs.optimum,
+            R_right_left=turn @ rigs.optimum.R_right_left,
+            t_right_left=(turn @ rigs.optimum.t_right_left[..., None])[..., 0] + xi[:, 3:],
         )
-        np.testing.assert_allclose(distance_sigma(cases, moved), 1.0, rtol=2e-3)
+        np.testing.assert_allclose(distance_sigma(rigs, moved), 1.0, rtol=2e-3)
 
 
 @pytest.mark.slow
 def test_optima_scatter_about_the_truth_by_root_six_sigma(monkeypatch):
     truths = []
-    solve = module.solved_cases
+    solve = module.solved_rigs
 
     def spy(options, problem, truth, noise_px):
         truths.append(truth)
         return solve(options, problem, truth, noise_px)
 
-    monkeypatch.setattr(module, "solved_cases", spy)
+    monkeypatch.setattr(module, "solved_rigs", spy)
     n = 300
-    cases = sample_cases(replace(FEW_VIEWS, outlier_share=(0.0, 0.0)), n, np.random.default_rng(0))
-    squares = distance_sigma(cases, truths[0]) ** 2
+    rigs = sample_rigs(replace(FEW_VIEWS, outlier_share=(0.0, 0.0)), n, np.random.default_rng(0))
+    squares = distance_sigma(rigs, truths[0]) ** 2
     # chi-square of 6 has mean 6 and variance 12; the mean of 300 is 6 ± 0.2; measured 6.2, median 5.6
     assert np.mean(squares) == pytest.approx(6, abs=0.8)
     assert np.median(squares) == pytest.approx(5.35, abs=0.8)
 
 
 def test_same_seed_same_cases():
-    one, same, other = (sample_cases(FEW_VIEWS, 2, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    one, same, other = (sample_rigs(FEW_VIEWS, 2, np.random.default_rng(seed)) for seed in (3, 3, 4))
     for a, b in zip(one.problem.cameras, same.problem.cameras, strict=True):
         np.testing.assert_array_equal(a.pixels, b.pixels)
     np.testing.assert_array_equal(one.optimum.R_right_left, same.optimum.R_right_left)
     assert not np.array_equal(one.noise_px, other.noise_px)
 
 
-@pytest.mark.parametrize("name", CASE_SETS)
+@pytest.mark.parametrize("name", RIG_SETS)
 def test_starts_are_as_far_off_as_stated_and_possible(name):
-    cases = sample_cases(CASE_SETS[name], 3, np.random.default_rng(5))
+    rigs = sample_rigs(RIG_SETS[name], 3, np.random.default_rng(5))
     for seed in range(10):
-        start = sample_starts(cases, np.random.default_rng(seed))
-        relative = start.R_right_left @ cases.optimum.R_right_left.swapaxes(-1, -2)
+        start = sample_starts(rigs, np.random.default_rng(seed))
+        relative = start.R_right_left @ rigs.optimum.R_right_left.swapaxes(-1, -2)
         angle_deg = np.degrees(np.linalg.norm(so3.log(relative), axis=1))
-        baseline_m = np.linalg.norm(cases.optimum.t_right_left, axis=1)
-        share = np.linalg.norm(start.t_right_left - cases.optimum.t_right_left, axis=1) / baseline_m
+        baseline_m = np.linalg.norm(rigs.optimum.t_right_left, axis=1)
+        share = np.linalg.norm(start.t_right_left - rigs.optimum.t_right_left, axis=1) / baseline_m
         for got, (low, high) in (
-            (angle_deg, cases.options.rotation_deg),
-            (share, cases.options.translation_share),
+            (angle_deg, rigs.options.rotation_deg),
+            (share, rigs.options.translation_share),
         ):
             assert (got >= low - 1e-6).all() and (got <= high + 1e-6).all()
-        assert all(np.isfinite(r2).all() for r2 in residual_lengths2(cases.problem, start))
+        assert all(np.isfinite(r2).all() for r2 in residual_lengths2(rigs.problem, start))
 
 
 def test_reversed_views_are_as_many_as_stated():
-    stress = sample_cases(CASE_SETS["stress"], 4, np.random.default_rng(2))
+    stress = sample_rigs(RIG_SETS["stress"], 4, np.random.default_rng(2))
     r2 = residual_lengths2(stress.problem, stress.optimum)[1]
     assert (np.sum(np.median(r2, axis=2) > 100, axis=1) == 2).all()  # a fifth of 12 views, rounded; 10 px
 
 
-def test_selected_rigs_are_the_same_rigs(cases):
+def test_selected_rigs_are_the_same_rigs(rigs):
     pick = np.array([4, 1])
-    start = sample_starts(cases, np.random.default_rng(0))
+    start = sample_starts(rigs, np.random.default_rng(0))
     np.testing.assert_array_equal(
-        distance_sigma(cases.select(pick), take_rigs(start, pick)), distance_sigma(cases, start)[pick]
+        distance_sigma(rigs.select(pick), take_rigs(start, pick)), distance_sigma(rigs, start)[pick]
     )
-    assert cases.select(pick).n_rigs == 2
+    assert rigs.select(pick).n_rigs == 2

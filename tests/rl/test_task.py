@@ -8,6 +8,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import pytest
 
+from binocal.rl.agent_kind import AgentKind
 from binocal.rl.rig_batches import distance_sigma, sample_starts, select_loop, take_rigs
 from binocal.rl.task import (
     INCREMENT_REACH,
@@ -26,12 +27,12 @@ from binocal.rl.task import (
 )
 from binocal.solvers.steering import Action, advance
 
-MEANINGS = ("steering", "increments")
+KINDS = (AgentKind.DRL, AgentKind.DRL_INCREMENTS)
 
 
 @pytest.fixture
-def start(cases):
-    return sample_starts(cases, np.random.default_rng(1))
+def start(rigs):
+    return sample_starts(rigs, np.random.default_rng(1))
 
 
 def arrays(value, path: str = "") -> dict[str, np.ndarray]:
@@ -54,35 +55,35 @@ def assert_same(a, b, **tolerance):
         np.testing.assert_allclose(array, right[path], err_msg=path, **(tolerance or {"rtol": 0, "atol": 0}))
 
 
-def random_action(cases, meaning, seed=0):
-    return np.random.default_rng(seed).uniform(-1, 1, (cases.n_rigs, n_actions(meaning)))
+def random_action(rigs, kind, seed=0):
+    return np.random.default_rng(seed).uniform(-1, 1, (rigs.n_rigs, n_actions(kind)))
 
 
-@pytest.mark.parametrize("meaning", MEANINGS)
-def test_observations_are_named_and_finite(cases, start, meaning):
-    state = initial(cases.problem, start, meaning)
+@pytest.mark.parametrize("kind", KINDS)
+def test_observations_are_named_and_finite(rigs, start, kind):
+    state = initial(rigs.problem, start, kind)
     for seed in range(3):
-        seen = observation(cases.problem, state, meaning)
-        assert seen.shape == (cases.n_rigs, len(observation_names(meaning))) and np.isfinite(seen).all()
-        state = transition(cases.problem, state, random_action(cases, meaning, seed), meaning)
-    assert len(set(observation_names(meaning))) == len(observation_names(meaning))
+        seen = observation(rigs.problem, state, kind)
+        assert seen.shape == (rigs.n_rigs, len(observation_names(kind))) and np.isfinite(seen).all()
+        state = transition(rigs.problem, state, random_action(rigs, kind, seed), kind)
+    assert len(set(observation_names(kind))) == len(observation_names(kind))
 
 
-def test_zero_is_plain_robust_gauss_newton(cases, start):
-    state = initial(cases.problem, start, "steering")
+def test_zero_is_plain_robust_gauss_newton(rigs, start):
+    state = initial(rigs.problem, start, AgentKind.DRL)
     plain = state.loop
-    nothing, one = np.zeros(cases.n_rigs), np.ones(cases.n_rigs)
+    nothing, one = np.zeros(rigs.n_rigs), np.ones(rigs.n_rigs)
     for _ in range(5):
-        state = transition(cases.problem, state, np.zeros((cases.n_rigs, 6)), "steering")
-        plain = advance(cases.problem, plain, Action(nothing, one), KERNEL)
+        state = transition(rigs.problem, state, np.zeros((rigs.n_rigs, 6)), AgentKind.DRL)
+        plain = advance(rigs.problem, plain, Action(nothing, one), KERNEL)
         assert_same(state.loop.estimate, plain.estimate, rtol=1e-8, atol=1e-10)
         np.testing.assert_array_equal(state.loop.is_kept, plain.is_kept)
 
 
-def test_what_the_six_numbers_ask_for(cases, start):
-    loop = initial(cases.problem, start, "steering").loop
+def test_what_the_six_numbers_ask_for(rigs, start):
+    loop = initial(rigs.problem, start, AgentKind.DRL).loop
     rows = np.array([[0.0] * 6, [1.0] * 6, [-1.0] * 6, [np.nan] * 6])
-    rigs = np.arange(cases.n_rigs) % 4
+    rigs = np.arange(rigs.n_rigs) % 4
     action = steering_action(rows[rigs], loop)
     pivot = loop.newton.least_pivot
     np.testing.assert_allclose(action.damping, np.array([0, 500, 0, 0])[rigs] * pivot, rtol=1e-4)
@@ -95,72 +96,72 @@ def test_what_the_six_numbers_ask_for(cases, start):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("meaning", MEANINGS)
-def test_a_number_that_is_not_finite_counts_as_zero(cases, start, meaning, bad):
-    state = initial(cases.problem, start, meaning)
-    zero = transition(cases.problem, state, np.zeros((cases.n_rigs, 6)), meaning)
-    wrong = transition(cases.problem, state, np.full((cases.n_rigs, 6), bad), meaning)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_number_that_is_not_finite_counts_as_zero(rigs, start, kind, bad):
+    state = initial(rigs.problem, start, kind)
+    zero = transition(rigs.problem, state, np.zeros((rigs.n_rigs, 6)), kind)
+    wrong = transition(rigs.problem, state, np.full((rigs.n_rigs, 6), bad), kind)
     assert_same(wrong, zero)
-    assert np.isfinite(observation(cases.problem, wrong, meaning)).all()
+    assert np.isfinite(observation(rigs.problem, wrong, kind)).all()
 
 
-@pytest.mark.parametrize("meaning", MEANINGS)
-def test_a_step_alters_nothing_that_it_was_given(cases, start, meaning):
-    state = transition(cases.problem, initial(cases.problem, start, meaning), random_action(cases, meaning), meaning)
-    action = 3 * random_action(cases, meaning, 1)
-    before = copy.deepcopy((state, action, cases.problem, start))
-    after = transition(cases.problem, state, action, meaning)
-    observation(cases.problem, after, meaning)
-    assert_same((state, action, cases.problem, start), before)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_step_alters_nothing_that_it_was_given(rigs, start, kind):
+    state = transition(rigs.problem, initial(rigs.problem, start, kind), random_action(rigs, kind), kind)
+    action = 3 * random_action(rigs, kind, 1)
+    before = copy.deepcopy((state, action, rigs.problem, start))
+    after = transition(rigs.problem, state, action, kind)
+    observation(rigs.problem, after, kind)
+    assert_same((state, action, rigs.problem, start), before)
     assert (after.n_steps == state.n_steps + 1).all()
 
 
-@pytest.mark.parametrize("meaning", MEANINGS)
-def test_a_step_is_the_same_alone_and_in_a_batch(cases, start, meaning):
-    action = random_action(cases, meaning)
-    together = transition(cases.problem, initial(cases.problem, start, meaning), action, meaning)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_step_is_the_same_alone_and_in_a_batch(rigs, start, kind):
+    action = random_action(rigs, kind)
+    together = transition(rigs.problem, initial(rigs.problem, start, kind), action, kind)
     pick = np.array([5])
-    alone = cases.select(pick)
-    begun = initial(alone.problem, take_rigs(start, pick), meaning)
-    one = transition(alone.problem, begun, action[pick], meaning)
+    alone = rigs.select(pick)
+    begun = initial(alone.problem, take_rigs(start, pick), kind)
+    one = transition(alone.problem, begun, action[pick], kind)
     np.testing.assert_allclose(
-        distance_sigma(alone, one.loop.estimate), distance_sigma(cases, together.loop.estimate)[pick], rtol=1e-9
+        distance_sigma(alone, one.loop.estimate), distance_sigma(rigs, together.loop.estimate)[pick], rtol=1e-9
     )
 
 
-def test_the_increment_along_the_newton_step_is_the_newton_step(cases, start):
-    state = initial(cases.problem, start, "increments")
-    _, whitened = _whitened_step(cases.problem, state.loop)
+def test_the_increment_along_the_newton_step_is_the_newton_step(rigs, start):
+    state = initial(rigs.problem, start, AgentKind.DRL_INCREMENTS)
+    _, whitened = _whitened_step(rigs.problem, state.loop)
     length = np.linalg.norm(whitened, axis=1, keepdims=True)
-    by_increment = transition(cases.problem, state, whitened / (INCREMENT_REACH * length), "increments")
+    by_increment = transition(rigs.problem, state, whitened / (INCREMENT_REACH * length), AgentKind.DRL_INCREMENTS)
     newton = transition(
-        cases.problem, initial(cases.problem, start, "steering"), np.zeros((cases.n_rigs, 6)), "steering"
+        rigs.problem, initial(rigs.problem, start, AgentKind.DRL), np.zeros((rigs.n_rigs, 6)), AgentKind.DRL
     )
     assert newton.loop.is_kept.sum() >= 6
     assert_same(by_increment.loop.estimate, newton.loop.estimate, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("meaning", MEANINGS)
-def test_a_rejected_candidate_leaves_the_estimate(cases, start, meaning):
-    state = initial(cases.problem, start, meaning)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_rejected_candidate_leaves_the_estimate(rigs, start, kind):
+    state = initial(rigs.problem, start, kind)
     n_rejected = 0
     for seed in range(6):
-        after = transition(cases.problem, state, random_action(cases, meaning, seed), meaning)
+        after = transition(rigs.problem, state, random_action(rigs, kind, seed), kind)
         stays = ~after.loop.is_kept
         np.testing.assert_array_equal(after.loop.estimate.R_right_left[stays], state.loop.estimate.R_right_left[stays])
         n_rejected, state = n_rejected + stays.sum(), after
     assert n_rejected > 0
 
 
-def test_rewards_add_up_to_the_start_and_the_number_of_steps(cases, start):
+def test_rewards_add_up_to_the_start_and_the_number_of_steps(rigs, start):
     tolerance = 0.1
-    state = initial(cases.problem, start, "steering")
-    begin = sigma = distance_sigma(cases, state.loop.estimate)
-    total, n_steps = np.zeros(cases.n_rigs), np.zeros(cases.n_rigs)
+    state = initial(rigs.problem, start, AgentKind.DRL)
+    begin = sigma = distance_sigma(rigs, state.loop.estimate)
+    total, n_steps = np.zeros(rigs.n_rigs), np.zeros(rigs.n_rigs)
     for _ in range(15):
         runs = sigma >= tolerance
-        state = transition(cases.problem, state, np.zeros((cases.n_rigs, 6)), "steering")
-        after = distance_sigma(cases, state.loop.estimate)
+        state = transition(rigs.problem, state, np.zeros((rigs.n_rigs, 6)), AgentKind.DRL)
+        after = distance_sigma(rigs, state.loop.estimate)
         total += np.where(runs, reward(sigma, after, tolerance), 0.0)
         n_steps += runs
         sigma = np.where(runs, after, sigma)

@@ -19,14 +19,14 @@ from binocal.formats import rig_json
 from binocal.result import StereoCalibration
 
 if TYPE_CHECKING:
-    from binocal.rl.evaluation import Exam
+    from binocal.rl.evaluation import EvaluationSet
     from binocal.rl.history import TrainingHistory
     from binocal.rl.training.run_folder import TrainingRun
     from binocal.rl.training.trainer import TrainingOptions
 
-MIN_VIEWS_PER_HALF = 6  # a half must hold cases of three views, each a half of it
-REAL_CASES = 256
-EXAM_CASES = 128  # to tune the classical controllers on that the agent is compared with
+MIN_VIEWS_PER_HALF = 6  # a half must hold rigs of three views, each a half of it
+REAL_RIGS = 256
+TUNING_RIGS_OF_REAL_VIEWS = 128  # to tune the classical controllers on that the agent is compared with
 MODEL_OF_REAL_RIGS = "brown4"
 
 
@@ -69,7 +69,7 @@ def train(
     """Train an agent into ``output``; a run that was cut there goes on where it was.
 
     With ``data``, a folder with left* and right* images of a board (or with folders left and right): the first half of the
-    pairs trains, with a reward that needs no truth, the second half judges the agent and is calibrated with it (the paper's
+    pairs trains, with a reward that needs no truth, the second half evaluates the agent and is calibrated with it (the paper's
     steps 1 and 6). ``board`` may be left out where the folder says which it is, see :func:`board_of_folder`. ``beside`` names
     folders of other runs that the figure shows too: seeds of one kind of targets as a band.
 
@@ -87,7 +87,7 @@ def train(
         raise MissingExtraError("training", "train") from None
     run_folder.check_folder(Path(output), force=force)
     others = [run_folder.read_history_of(Path(folder)) for folder in beside]
-    chosen, pools, description, exam, test = _training_options(options), None, "", None, None
+    chosen, pools, description, evaluation_set, test = _training_options(options), None, "", None, None
     if data is not None:
         board = board or board_of_folder(data)
         left, right = _image_patterns(Path(data))
@@ -96,13 +96,13 @@ def train(
         if half < MIN_VIEWS_PER_HALF:
             raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_HALF)
         test = detections.select(np.arange(half, detections.n_views))
-        chosen, pools, exam = _on_real_views(detections.select(np.arange(half)), test, chosen, options)
-        description = f"{half} pairs of real images, {REAL_CASES} cases drawn from them, rewards without truth"
+        chosen, pools, evaluation_set = _on_real_views(detections.select(np.arange(half)), test, chosen, options)
+        description = f"{half} pairs of real images, {REAL_RIGS} rigs drawn from them, rewards without truth"
     run = run_folder.train_agent(
         run_folder.prepare_folder(Path(output), force=force),
         chosen,
         pools=pools,
-        exam=exam,
+        evaluation_set=evaluation_set,
         description=description,
         n_rigs=options.n_rigs,
         command=_command(options, data is not None),
@@ -146,9 +146,10 @@ def _image_patterns(folder: Path) -> tuple[str, str]:
 
 
 def _training_options(options: TrainOptions) -> TrainingOptions:
+    from binocal.rl.agent_kind import AgentKind
     from binocal.rl.training.trainer import default_options
 
-    given = default_options("steering" if options.agent == "drl" else "increments")
+    given = default_options(AgentKind(options.agent))
     td3 = replace(given.td3, targets=options.targets)
     if options.widths is not None:
         td3 = replace(td3, actor_widths=options.widths)
@@ -157,34 +158,34 @@ def _training_options(options: TrainOptions) -> TrainingOptions:
 
 def _on_real_views(
     half: Detections, test: Detections, chosen: TrainingOptions, options: TrainOptions
-) -> tuple[TrainingOptions, Any, Exam]:
-    """Pools drawn from one half of the views, the exam from the other; networks by the amount unless layers were given."""
+) -> tuple[TrainingOptions, Any, EvaluationSet]:
+    """Pools drawn from one half of the views, the evaluation_set from the other; networks by the amount unless layers were given."""
     from binocal.calibrators import calibrate
-    from binocal.rl.evaluation import Exam
-    from binocal.rl.real_rig_batches import cases_from_calibration, network_widths, tolerance_sigma
+    from binocal.rl.evaluation import EvaluationSet
+    from binocal.rl.real_rig_batches import network_widths, rigs_from_calibration, tolerance_sigma
     from binocal.rl.rig_batches import sample_starts
 
     rng = np.random.default_rng([options.seed, 3])
     known, unseen = (calibrate(views, calibrator="lm", model=MODEL_OF_REAL_RIGS) for views in (half, test))
-    cases, held_out, practice = (
-        cases_from_calibration(known, n, rng) for n in (REAL_CASES, REAL_CASES // 4, EXAM_CASES)
+    rigs, held_out, tuning = (
+        rigs_from_calibration(known, n, rng) for n in (REAL_RIGS, REAL_RIGS // 4, TUNING_RIGS_OF_REAL_VIEWS)
     )
-    others = cases_from_calibration(unseen, max(1, min(options.n_rigs, REAL_CASES)), rng)
-    tolerance = tolerance_sigma(cases.options.n_views)
-    exam = Exam(
+    others = rigs_from_calibration(unseen, max(1, min(options.n_rigs, REAL_RIGS)), rng)
+    tolerance = tolerance_sigma(rigs.options.n_views)
+    evaluation_set = EvaluationSet(
         "second half",
-        "cases drawn from the images of the second half",
+        "rigs drawn from the images of the second half",
         others,
         sample_starts(others, rng),
-        practice,
-        sample_starts(practice, rng),
+        tuning,
+        sample_starts(tuning, rng),
         tolerance_sigma(others.options.n_views),
     )
     if options.widths is None:
         td3 = replace(chosen.td3, actor_widths=network_widths(half.n_views))
         chosen = replace(chosen, td3=td3)
-    pools = [(cases, tolerance)], [(held_out, tolerance)]
-    return replace(chosen, rigs_per_pool=REAL_CASES), pools, exam
+    pools = [(rigs, tolerance)], [(held_out, tolerance)]
+    return replace(chosen, rigs_per_pool=REAL_RIGS), pools, evaluation_set
 
 
 def _command(options: TrainOptions, is_real: bool) -> str:

@@ -21,9 +21,10 @@ from binocal.errors import BinocalError
 from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.result import StereoCalibration
-from binocal.rl.evaluation import CORRECTED, Row, compare_on, format_rows, held_out_cases, simulated_exam
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.evaluation import CORRECTED, Row, compare_on, format_rows, held_out_rigs, simulated_evaluation_set
 from binocal.rl.policy import shipped_policy
-from binocal.rl.rig_batches import CASE_SETS, SIZE_WH, Cases, measure_corners, take_rigs
+from binocal.rl.rig_batches import RIG_SETS, SIZE_WH, RigBatch, corrupt_corners, take_rigs
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections
 from binocal.solvers.bundle import BundleEstimate, BundleProblem
 from binocal.solvers.controllers import Controller
@@ -43,12 +44,12 @@ AGENT, LM = "drl", "lm"
 
 def run_agent_benchmark(*, n_rigs: int = 1000, seed: int = 0) -> dict[str, Any]:
     """Every controller on every set, and median milliseconds per solve of the agent and the best classical one."""
-    policies = {AGENT: shipped_policy("steering"), "drl-increments": shipped_policy("increments")}
+    policies = {AGENT: shipped_policy(AgentKind.DRL), "drl-increments": shipped_policy(AgentKind.DRL_INCREMENTS)}
     rows: list[Row] = []
     times: list[dict[str, Any]] = []
-    for name in CASE_SETS:
+    for name in RIG_SETS:
         tuned: dict[str, Controller] = {}
-        of_set = compare_on(simulated_exam(name, n_rigs, seed), policies, tuned=tuned)
+        of_set = compare_on(simulated_evaluation_set(name, n_rigs, seed), policies, tuned=tuned)
         rows += of_set
         best = min((row for row in of_set if row.controller in CLASSICAL), key=lambda row: row.mean).controller
         chosen = {best: tuned[best], CORRECTED: tuned[CORRECTED], AGENT: tuned[AGENT]}
@@ -109,7 +110,7 @@ def count_wrong_minima(n_rigs: int, seed: int, *, calibrator: str = "drl") -> di
     warning, or a refusal.
     """
     rng = np.random.default_rng([seed, 6])
-    options = CASE_SETS["stress"]
+    options = RIG_SETS["stress"]
     board = parse_board(options.board)
     counts = {"right": 0, "refused": 0, "wrong, flagged": 0, "wrong, not flagged": 0}
     worst = 0.0
@@ -119,7 +120,7 @@ def count_wrong_minima(n_rigs: int, seed: int, *, calibrator: str = "drl") -> di
         )
         scene = StereoScene(rig, board, sample_board_poses(rig, board, options.n_views, rng, options.poses))
         px = [
-            measure_corners(side[None], rng.uniform(*options.noise_px, 1), options, rng)[0] for side in scene.project()
+            corrupt_corners(side[None], rng.uniform(*options.noise_px, 1), options, rng)[0] for side in scene.project()
         ]
         wrong_views = rng.permutation(options.n_views)[: round(options.reversed_share * options.n_views)]
         px[1][wrong_views] = px[1][wrong_views][:, ::-1]
@@ -160,14 +161,14 @@ def largest_difference_sigma(a: StereoCalibration, b: StereoCalibration) -> floa
 
 def _time_solves(name: str, controllers: dict[str, Controller], seed: int) -> dict[str, Any]:
     """Whole solves in turn: plain ``lm``, and with each controller leading its far phase."""
-    cases, start = held_out_cases(name, N_TIMED, seed + 2)
+    rigs, start = held_out_rigs(name, N_TIMED, seed + 2)
     ways: dict[str, Callable[[BundleProblem, BundleEstimate], Minimum]] = {LM: minimize}
     for label, controller in controllers.items():
         ways[label] = partial(_solve_led, controller)
     elapsed: dict[str, list[float]] = {label: [] for label in ways}
     ended_px: dict[str, list[float]] = {label: [] for label in ways}
-    for index in range(cases.n_rigs):
-        problem, estimate = _one(cases, start, index)
+    for index in range(rigs.n_rigs):
+        problem, estimate = _one(rigs, start, index)
         for label, way in ways.items():
             begin = time.perf_counter()
             minimum = way(problem, estimate)
@@ -187,9 +188,9 @@ def _solve_led(controller: Controller, problem: BundleProblem, start: BundleEsti
     return minimize_steered(problem, start, controller).minimum
 
 
-def _one(cases: Cases, start: BundleEstimate, index: int) -> tuple[BundleProblem, BundleEstimate]:
+def _one(rigs: RigBatch, start: BundleEstimate, index: int) -> tuple[BundleProblem, BundleEstimate]:
     """One rig of a batch, without the batch's dimension."""
-    part, first = cases.select(np.array([index])).problem, take_rigs(start, np.array([index]))
+    part, first = rigs.select(np.array([index])).problem, take_rigs(start, np.array([index]))
     cameras = tuple(replace(c, pixels=c.pixels[0], is_seen=c.is_seen[0]) for c in part.cameras)
     estimate = BundleEstimate(
         tuple(p[0] for p in first.parameters),

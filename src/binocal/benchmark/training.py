@@ -1,6 +1,6 @@
-"""Ways of training the agent side by side: hard and soft targets at equal time constants, and the supervised twin.
+"""Ways of training the agent side by side: hard and soft targets at equal time constants, and imitation.
 
-Every run is short and judged on validation rigs of its own seed; the figure of all runs is drawn where matplotlib is.
+Every run is short and evaluated on validation rigs of its own seed; the figure of all runs is drawn where matplotlib is.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from binocal.rl.evaluation import solve_cases
+from binocal.rl.evaluation import solve_rigs
 from binocal.rl.history import TrainingHistory
 from binocal.rl.policy import LearnedController, Policy
-from binocal.rl.rig_batches import Cases, sample_starts
+from binocal.rl.rig_batches import RigBatch, sample_starts
 from binocal.rl.training.imitation import Imitation
-from binocal.rl.training.trainer import Training, TrainingOptions, run, simulated_pools
+from binocal.rl.training.trainer import Training, TrainingOptions, run_training, simulated_pools
 
 N_STEPS = 150_000
 N_SEEDS = 5
@@ -35,21 +35,21 @@ def run_training_benchmark(
         pools, validation = simulated_pools(options)
         for targets in ("soft", "hard"):
             training = Training(replace(options, td3=replace(options.td3, targets=targets)), pools, validation)
-            run(training, on_check=lambda *_: None)
+            run_training(training, on_check=lambda *_: None)
             histories.append(training.history())
             runs.append(
-                _judged(f"TD3, {targets} targets", options.seed, training.policy({}), validation)
+                _evaluated(f"TD3, {targets} targets", options.seed, training.policy({}), validation)
                 | {"seconds": training.elapsed_s, "lag": training.td3.target_lag()}
                 | {"converged_update": histories[-1].converged_step}
             )
-        twin = Imitation(options, pools)
+        imitation = Imitation(options, pools)
         begin = time.perf_counter()
         while (
-            twin.n_steps < n_steps * 4
-        ):  # a lesson costs 16 tried steps; four times the critic's own is what its time allows
-            twin.generation()
+            imitation.n_steps < n_steps * 4
+        ):  # a target action costs 16 tried steps; four times the critic's own is what its time allows
+            imitation.generation()
         runs.append(
-            _judged("supervised twin", options.seed, twin.policy(), validation)
+            _evaluated("imitation", options.seed, imitation.policy(), validation)
             | {"seconds": time.perf_counter() - begin, "lag": None, "converged_update": None}
         )
     if figure is not None:
@@ -67,11 +67,11 @@ def run_training_benchmark(
     }
 
 
-def _judged(way: str, seed: int, policy: Policy, validation: list[tuple[Cases, float]]) -> dict[str, Any]:
+def _evaluated(way: str, seed: int, policy: Policy, validation: list[tuple[RigBatch, float]]) -> dict[str, Any]:
     iterations, arrived = [], []
     for index, (pool, tolerance) in enumerate(validation):
         start = sample_starts(pool, np.random.default_rng([11, index]))
-        outcome = solve_cases(pool, start, LearnedController(policy), tolerance)
+        outcome = solve_rigs(pool, start, LearnedController(policy), tolerance)
         iterations.append(float(outcome.n_iterations.mean()))
         arrived.append(float(outcome.has_arrived.mean()))
     return {"way": way, "seed": seed, "iterations": iterations, "arrived": arrived}

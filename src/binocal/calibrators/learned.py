@@ -1,7 +1,7 @@
-"""``drl`` and ``drl-increments``: the joint road, its far phase led by a trained agent.
+"""``drl`` and ``drl-increments``: the joint solve, its steps chosen by a trained agent while it is far from the optimum.
 
 The agent decides how the solver walks, never where it ends: see :mod:`binocal.solvers.steered` for the guards. What it did is
-told in the result's provenance.
+report in the result's provenance.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from binocal.calibrators.base import CalibrationOptions, Calibrator
 from binocal.calibrators.joint import calibrate_jointly
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
+from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
 from binocal.shapes import Float
 from binocal.solvers.bundle import BundleEstimate, BundleProblem
@@ -27,16 +28,16 @@ if TYPE_CHECKING:
 
 def calibrate_drl(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
     """The shipped agent steers the solver (see :class:`binocal.calibrators.base.Calibrator`)."""
-    return calibrate_with_policy(detections, options, shipped_policy("steering"), name="drl")
+    return calibrate_with_policy(detections, options, shipped_policy(AgentKind.DRL), name="drl")
 
 
 def calibrate_drl_increments(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
     """The shipped agent changes R, T itself, as in the paper; all other unknowns take their own steps beside."""
-    return calibrate_with_policy(detections, options, shipped_policy("increments"), name="drl-increments")
+    return calibrate_with_policy(detections, options, shipped_policy(AgentKind.DRL_INCREMENTS), name="drl-increments")
 
 
 def calibrator_of_weights(path: str | Path) -> Calibrator:
-    """The calibrator that the agent in a file of weights leads.
+    """The calibrator that the agent in a file of weights controls.
 
     Raises:
         FormatError: The file cannot be read, or fits another version.

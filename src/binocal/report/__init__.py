@@ -1,1 +1,1 @@
-"""Results as figures: draws, never computes. Matplotlib stays in this room."""
+"""Results as figures: draws, never computes. Matplotlib is imported here alone."""

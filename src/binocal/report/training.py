@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SIZE_INCHES = (10.0, 7.5)
-COLOURS = {"soft": "#0072b2", "hard": "#d55e00"}  # told apart by every kind of colour vision (Okabe & Ito 2008)
+COLOURS = {"soft": "#0072b2", "hard": "#d55e00"}  # distinct to every kind of colour vision (Okabe & Ito 2008)
 MAX_VALUES_DRAWN = 200  # dots of a run; more only make the file larger
 MAX_POINTS_DRAWN = 400  # of a curve
 

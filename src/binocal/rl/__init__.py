@@ -1,1 +1,1 @@
-"""External calibration as a Markov decision process, and the agents that learn it. PyTorch stays in this room."""
+"""External calibration as a Markov decision process, and the agents that learn it. PyTorch is in :mod:`binocal.rl.training` alone."""

@@ -2,10 +2,10 @@
 
 Importing ``binocal`` beside Gymnasium registers ``binocal/StereoExtrinsics-v0`` with both, so that these make one::
 
-    env = gymnasium.make("binocal/StereoExtrinsics-v0", case_set="stress")
+    env = gymnasium.make("binocal/StereoExtrinsics-v0", rig_set="stress")
     envs = gymnasium.make_vec("binocal/StereoExtrinsics-v0", num_envs=64)
 
-**Action**, Box(-1, 1): with ``meaning="steering"`` six numbers, all zero being robust Gauss-Newton. A not finite number counts as 0.
+**Action**, Box(-1, 1): with ``kind="drl"`` six numbers, all zero being robust Gauss-Newton. A not finite number counts as 0.
 
 ====================================================  =====================================================================
 log damping                                           Marquardt damping 0 (at 0 and below), 5e-3 × (10^5a - 1) least pivots above
@@ -15,7 +15,7 @@ share of the second-order correction                  1.25 a, cut to 0..1
 log damping of the board poses                        as damping, 1e-2 × (10^5a - 1)
 ====================================================  =====================================================================
 
-With ``meaning="increments"`` the change of R, T itself (three numbers of rotation, three of translation), whitened by the
+With ``kind="drl-increments"`` the change of R, T itself (three numbers of rotation, three of translation), whitened by the
 rig's information; 1 is 1.5 times the length of the Gauss-Newton step.
 
 **Observation**, Box of float32: the scale-free numbers that :func:`binocal.rl.task.observation_names` names with their units, each
@@ -25,7 +25,7 @@ single form's). **Info**: ``distance_sigma`` (Mahalanobis distance of R and T to
 the last candidate lowered the robust cost) and ``rig`` (its place in the pool).
 
 Rigs come from a pool that is drawn once, from ``pool_seed``; an episode takes one of them and a new start. Other pool seeds
-give other rigs: train on one, judge on another.
+give other rigs: train on one, evaluate on another.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy import ndarray
 
-from binocal.rl.rig_batches import CASE_SETS, Cases, distance_sigma, sample_cases, sample_starts
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.rig_batches import RIG_SETS, RigBatch, distance_sigma, sample_rigs, sample_starts
 from binocal.rl.task import (
     MAX_STEPS,
-    ActionMeaning,
     TaskState,
     has_arrived,
     initial,
@@ -69,23 +69,24 @@ TOLERANCES_SIGMA = {"stress": 0.3}
 
 
 @dataclass(frozen=True, slots=True)
-class Rigs:
+class EnvOptions:
     """Which rigs an environment is about, and what an action means there.
 
     ``tolerance_sigma`` None is 0.1, 0.3 on the stress set.
     """
 
-    case_set: str = "standard"
-    meaning: ActionMeaning = "steering"
+    rig_set: str = "standard"
+    kind: AgentKind = AgentKind.DRL
     tolerance_sigma: float | None = None
     pool_size: int = 64
     pool_seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.case_set not in CASE_SETS:
-            raise ValueError(f"case_set must be one of {', '.join(CASE_SETS)}; got {self.case_set!r}")
-        if self.meaning not in ("steering", "increments"):
-            raise ValueError(f"meaning must be steering or increments; got {self.meaning!r}")
+        if self.rig_set not in RIG_SETS:
+            raise ValueError(f"rig_set must be one of {', '.join(RIG_SETS)}; got {self.rig_set!r}")
+        if self.kind not in tuple(AgentKind):
+            raise ValueError(f"kind must be {' or '.join(AgentKind)}; got {self.kind!r}")
+        object.__setattr__(self, "kind", AgentKind(self.kind))
         if self.pool_size < 1:
             raise ValueError(f"pool_size must be 1 or more; got {self.pool_size}")
         if self.tolerance_sigma is not None and not self.tolerance_sigma > 0:
@@ -96,16 +97,16 @@ class Rigs:
         """The distance that ends an episode."""
         if self.tolerance_sigma is not None:
             return self.tolerance_sigma
-        return TOLERANCES_SIGMA.get(self.case_set, TOLERANCE_SIGMA)
+        return TOLERANCES_SIGMA.get(self.rig_set, TOLERANCE_SIGMA)
 
-    def pool(self) -> Cases:
+    def pool(self) -> RigBatch:
         """The rigs, drawn on the first call; some 10 ms each."""
-        return _pool(self.case_set, self.pool_size, self.pool_seed)
+        return _pool(self.rig_set, self.pool_size, self.pool_seed)
 
     @property
     def observation_limits(self) -> Float[ndarray, "o"]:
         """What the numbers of an observation are cut to, plus and minus."""
-        names = observation_names(self.meaning)
+        names = observation_names(self.kind)
         is_unit = [name.startswith(("last ", "Gauss-Newton step, ")) for name in names]
         return np.where(is_unit, 1.0, OBSERVED_LIMIT)
 
@@ -116,7 +117,7 @@ class Rigs:
 
     def action_space(self) -> Box:
         """What one rig's action may be."""
-        return Box(-1.0, 1.0, (n_actions(self.meaning),), dtype=np.float32)
+        return Box(-1.0, 1.0, (n_actions(self.kind),), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,39 +125,39 @@ class Batch:
     """Episodes under way: the rigs' places in the pool, the rigs, where their solves stand, and how far off they are."""
 
     rig: Int[ndarray, "n"]
-    cases: Cases
+    rigs: RigBatch
     state: TaskState
     sigma: Float[ndarray, "n"]
 
 
-def begin_episodes(rigs: Rigs, generators: Sequence[np.random.Generator]) -> Batch:
+def begin_episodes(options: EnvOptions, generators: Sequence[np.random.Generator]) -> Batch:
     """One new episode for each generator; what it draws depends on that generator alone."""
-    pool = rigs.pool()
+    pool = options.pool()
     rig, starts = [], []
     for rng in generators:
         rig.append(int(rng.integers(pool.n_rigs)))
         starts.append(sample_starts(pool.select(np.array(rig[-1:])), rng))
-    cases = pool.select(np.array(rig))
-    state = initial(cases.problem, _joined(starts), rigs.meaning)
-    return Batch(np.array(rig), cases, state, distance_sigma(cases, state.loop.estimate))
+    rigs = pool.select(np.array(rig))
+    state = initial(rigs.problem, _joined(starts), options.kind)
+    return Batch(np.array(rig), rigs, state, distance_sigma(rigs, state.loop.estimate))
 
 
 def advance_episodes(
-    rigs: Rigs, before: Batch, action: Float[ndarray, "n a"]
+    options: EnvOptions, before: Batch, action: Float[ndarray, "n a"]
 ) -> tuple[Batch, Float[ndarray, "n"], Bool[ndarray, "n"]]:
     """One step of every episode: what follows, the rewards, and which arrived."""
-    problem = before.cases.problem
-    state = transition(problem, before.state, np.asarray(action, dtype=np.float64), rigs.meaning)
-    sigma = distance_sigma(before.cases, state.loop.estimate)
-    tolerance = rigs.arrival_sigma
-    after = Batch(before.rig, before.cases, state, sigma)
+    problem = before.rigs.problem
+    state = transition(problem, before.state, np.asarray(action, dtype=np.float64), options.kind)
+    sigma = distance_sigma(before.rigs, state.loop.estimate)
+    tolerance = options.arrival_sigma
+    after = Batch(before.rig, before.rigs, state, sigma)
     return after, reward(before.sigma, sigma, tolerance), has_arrived(sigma, tolerance)
 
 
-def observed(rigs: Rigs, batch: Batch) -> Float32[ndarray, "n o"]:
+def observed(options: EnvOptions, batch: Batch) -> Float32[ndarray, "n o"]:
     """The observations, cut to the space."""
-    limit = rigs.observation_limits
-    return np.clip(observation(batch.cases.problem, batch.state, rigs.meaning), -limit, limit).astype(np.float32)
+    limit = options.observation_limits
+    return np.clip(observation(batch.rigs.problem, batch.state, options.kind), -limit, limit).astype(np.float32)
 
 
 class StereoExtrinsicsEnv(gymnasium.Env[ndarray, ndarray]):
@@ -168,11 +169,11 @@ class StereoExtrinsicsEnv(gymnasium.Env[ndarray, ndarray]):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
 
     def __init__(self, render_mode: None = None, **options: Any) -> None:
-        """Takes the fields of :class:`Rigs` as keywords. There is nothing to render."""
-        self.rigs = Rigs(**options)
+        """Takes the fields of :class:`EnvOptions` as keywords. There is nothing to render."""
+        self.options = EnvOptions(**options)
         self.render_mode = render_mode
-        self.observation_names = observation_names(self.rigs.meaning)
-        self.observation_space, self.action_space = self.rigs.observation_space(), self.rigs.action_space()
+        self.observation_names = observation_names(self.options.kind)
+        self.observation_space, self.action_space = self.options.observation_space(), self.options.action_space()
         self._batch: Batch | None = None
 
     def reset(
@@ -180,20 +181,20 @@ class StereoExtrinsicsEnv(gymnasium.Env[ndarray, ndarray]):
     ) -> tuple[ndarray, dict[str, Any]]:
         """A rig of the pool and a start. ``options`` is not used."""
         super().reset(seed=seed)
-        self._batch = begin_episodes(self.rigs, [self.np_random])
+        self._batch = begin_episodes(self.options, [self.np_random])
         return self._seen(self._batch)
 
     def step(self, action: ndarray) -> tuple[ndarray, float, bool, bool, dict[str, Any]]:
         """One iteration of the solve."""
         if self._batch is None:
             raise ValueError("step was called before reset")
-        self._batch, earned, is_terminal = advance_episodes(self.rigs, self._batch, np.asarray(action)[None])
+        self._batch, earned, is_terminal = advance_episodes(self.options, self._batch, np.asarray(action)[None])
         seen, info = self._seen(self._batch)
         return seen, float(earned[0]), bool(is_terminal[0]), False, info
 
     def _seen(self, batch: Batch) -> tuple[ndarray, dict[str, Any]]:
         info = {name: values[0].item() for name, values in _info(batch).items()}
-        return observed(self.rigs, batch)[0], info
+        return observed(self.options, batch)[0], info
 
 
 class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
@@ -215,16 +216,16 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         render_mode: None = None,
         **options: Any,
     ) -> None:
-        """Takes the fields of :class:`Rigs` as keywords too. There is nothing to render."""
+        """Takes the fields of :class:`EnvOptions` as keywords too. There is nothing to render."""
         mode = AutoresetMode(autoreset_mode)
         if mode is AutoresetMode.DISABLED:
             raise ValueError("autoreset_mode must be NextStep or SameStep; got Disabled")
-        self.rigs, self.num_envs, self.max_episode_steps = Rigs(**options), num_envs, max_episode_steps
+        self.options, self.num_envs, self.max_episode_steps = EnvOptions(**options), num_envs, max_episode_steps
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "autoreset_mode": mode}
-        self.observation_names = observation_names(self.rigs.meaning)
-        self.single_observation_space = self.rigs.observation_space()
-        self.single_action_space = self.rigs.action_space()
+        self.observation_names = observation_names(self.options.kind)
+        self.single_observation_space = self.options.observation_space()
+        self.single_action_space = self.options.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._generators: list[np.random.Generator] = []
@@ -251,16 +252,16 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
             rng if rng is not None and one is None else seeding.np_random(one)[0]
             for rng, one in zip(old, seeds, strict=True)
         ]
-        self._batch = begin_episodes(self.rigs, self._generators)
+        self._batch = begin_episodes(self.options, self._generators)
         self._has_ended = np.zeros(self.num_envs, dtype=bool)
-        return observed(self.rigs, self._batch), _with_masks(_info(self._batch), np.ones(self.num_envs, dtype=bool))
+        return observed(self.options, self._batch), _with_masks(_info(self._batch), np.ones(self.num_envs, dtype=bool))
 
     def step(self, actions: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray, dict[str, Any]]:
         """One iteration of every solve, and the next episode's beginning where the last one ended."""
         if self._batch is None:
             raise ValueError("step was called before reset")
         everywhere = np.ones(self.num_envs, dtype=bool)
-        batch, earned, is_terminal = advance_episodes(self.rigs, self._batch, actions)
+        batch, earned, is_terminal = advance_episodes(self.options, self._batch, actions)
         is_truncated = (batch.state.n_steps >= self.max_episode_steps) & ~is_terminal
         has_ended, infos = is_terminal | is_truncated, {}
         if self.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
@@ -272,7 +273,7 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
             batch = self._renewed(batch, has_ended)
         self._batch = batch
         return (
-            observed(self.rigs, batch),
+            observed(self.options, batch),
             earned,
             is_terminal,
             is_truncated,
@@ -284,14 +285,14 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         place = np.flatnonzero(is_new)
         if not len(place):
             return batch
-        new = begin_episodes(self.rigs, [self._generators[i] for i in place])
+        new = begin_episodes(self.options, [self._generators[i] for i in place])
         rig = _replaced(batch.rig, place, new.rig)
         state, sigma = _replaced(batch.state, place, new.state), _replaced(batch.sigma, place, new.sigma)
-        return Batch(rig, self.rigs.pool().select(rig), state, sigma)
+        return Batch(rig, self.options.pool().select(rig), state, sigma)
 
     def _final(self, batch: Batch, has_ended: Bool[ndarray, "n"]) -> dict[str, Any]:
         """Gymnasium's account of the last step of an episode."""
-        seen = observed(self.rigs, batch)
+        seen = observed(self.options, batch)
         final = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(has_ended):
             final[i] = seen[i]
@@ -300,8 +301,8 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
 
 
 @lru_cache(maxsize=8)  # environments of a synchronous vector share theirs
-def _pool(case_set: str, size: int, seed: int) -> Cases:
-    return sample_cases(CASE_SETS[case_set], size, np.random.default_rng(seed))
+def _pool(rig_set: str, size: int, seed: int) -> RigBatch:
+    return sample_rigs(RIG_SETS[rig_set], size, np.random.default_rng(seed))
 
 
 def _info(batch: Batch) -> dict[str, ndarray]:

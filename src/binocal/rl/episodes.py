@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from binocal.rl.rig_batches import Cases, select_loop, way_left_sigma
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.rig_batches import RigBatch, remaining_sigma, select_loop
 from binocal.rl.task import (
     MAX_STEPS,
-    ActionMeaning,
     TaskState,
     has_arrived,
     initial,
@@ -24,13 +24,13 @@ from binocal.solvers.bundle import BundleEstimate
 
 COMPACTION_SHARE = 0.8  # a batch is packed when fewer of its rigs than this still run
 
-Policy = Callable[[ndarray], ndarray]
+ActionFunction = Callable[[ndarray], ndarray]
 """From observations (rigs, o) to actions (rigs, a)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transitions:
-    """One step of every rig that still ran; ``rig`` says which of the cases it was."""
+    """One step of every rig that still ran; ``rig`` says which of the rigs it was."""
 
     rig: Int[ndarray, "n"]
     observation: Float[ndarray, "n o"]
@@ -41,7 +41,7 @@ class Transitions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class EpisodeOutcome:
     """How the episodes ended. Rigs that did not arrive count ``MAX_STEPS`` iterations; ``total_reward`` is discounted."""
 
     n_iterations: Int[ndarray, "rigs"]
@@ -50,30 +50,30 @@ class Outcome:
 
 
 def run_episodes(
-    cases: Cases,
+    rigs: RigBatch,
     start: BundleEstimate,
-    policy: Policy,
-    meaning: ActionMeaning,
+    policy: ActionFunction,
+    kind: AgentKind,
     *,
     tolerance_sigma: float,
     max_steps: int = MAX_STEPS,
     discount: float = 1.0,
     on_step: Callable[[Transitions], None] | None = None,
-) -> Outcome:
+) -> EpisodeOutcome:
     """Runs every case once. Rigs that arrived leave the batch."""
-    n_iterations = np.full(cases.n_rigs, MAX_STEPS)
-    arrived = np.zeros(cases.n_rigs, dtype=bool)
-    total = np.zeros(cases.n_rigs)
-    rig = np.arange(cases.n_rigs)
-    running = cases
-    state = initial(running.problem, start, meaning)
-    seen = observation(running.problem, state, meaning)
-    sigma = way_left_sigma(running, state.loop)
+    n_iterations = np.full(rigs.n_rigs, MAX_STEPS)
+    arrived = np.zeros(rigs.n_rigs, dtype=bool)
+    total = np.zeros(rigs.n_rigs)
+    rig = np.arange(rigs.n_rigs)
+    running = rigs
+    state = initial(running.problem, start, kind)
+    seen = observation(running.problem, state, kind)
+    sigma = remaining_sigma(running, state.loop)
     for step in range(max_steps):
         action = policy(seen)
-        state = transition(running.problem, state, action, meaning)
-        following = observation(running.problem, state, meaning)
-        after = way_left_sigma(running, state.loop)
+        state = transition(running.problem, state, action, kind)
+        following = observation(running.problem, state, kind)
+        after = remaining_sigma(running, state.loop)
         is_terminal = has_arrived(after, tolerance_sigma)
         earned = reward(sigma, after, tolerance_sigma)
         is_live = ~arrived[rig]
@@ -99,4 +99,4 @@ def run_episodes(
             keep = np.flatnonzero(is_live)
             running, rig, seen, sigma = running.select(keep), rig[keep], seen[keep], sigma[keep]
             state = TaskState(select_loop(state.loop, keep), state.last_action[keep], state.n_steps[keep])
-    return Outcome(n_iterations, arrived, total)
+    return EpisodeOutcome(n_iterations, arrived, total)

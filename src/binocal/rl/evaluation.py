@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.rl.rig_batches import CASE_SETS, Cases, sample_cases, sample_starts, select_loop, way_left_sigma
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.rig_batches import RIG_SETS, RigBatch, remaining_sigma, sample_rigs, sample_starts, select_loop
 from binocal.rl.task import KERNEL, MAX_STEPS, n_actions
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.bundle import BundleEstimate
@@ -30,7 +31,7 @@ COMPACTION_SHARE = 0.8  # a batch is packed when fewer of its rigs than this sti
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class SolveOutcome:
     """How solves ended. ``mean_action`` is that of the raw actions of a learned controller, None of others."""
 
     n_iterations: Int[ndarray, "rigs"]
@@ -43,39 +44,39 @@ def tolerance_of(name: str) -> float:
     return TOLERANCE_SIGMA.get(name, DEFAULT_TOLERANCE_SIGMA)
 
 
-def solve_cases(
-    cases: Cases, start: BundleEstimate, controller: Controller, tolerance_sigma: float, *, max_steps: int = MAX_STEPS
-) -> Outcome:
+def solve_rigs(
+    rigs: RigBatch, start: BundleEstimate, controller: Controller, tolerance_sigma: float, *, max_steps: int = MAX_STEPS
+) -> SolveOutcome:
     """Runs the loop on every case until it has come within the tolerance."""
-    n = cases.n_rigs
+    n = rigs.n_rigs
     n_iterations, has_arrived = np.full(n, MAX_STEPS), np.zeros(n, dtype=bool)
     rig, memory = np.arange(n), controller.start((n,))
-    state = begin(cases.problem, start, KERNEL)
+    state = begin(rigs.problem, start, KERNEL)
     total, count = None, 0
     for step in range(max_steps):
-        action, memory = controller.choose(cases.problem, state, memory)
-        state = advance(cases.problem, state, action, KERNEL)
+        action, memory = controller.choose(rigs.problem, state, memory)
+        state = advance(rigs.problem, state, action, KERNEL)
         is_live = ~has_arrived[rig]
         if "last_action" in memory:
             taken = memory["last_action"][is_live]
             total = taken.sum(axis=0) + (0 if total is None else total)
             count += len(taken)
-        there = rig[is_live & (way_left_sigma(cases, state) < tolerance_sigma)]
+        there = rig[is_live & (remaining_sigma(rigs, state) < tolerance_sigma)]
         n_iterations[there], has_arrived[there] = step + 1, True
         keep = np.flatnonzero(~has_arrived[rig])
         if not len(keep):
             break
         if len(keep) < COMPACTION_SHARE * len(rig):
-            cases, rig, state = cases.select(keep), rig[keep], select_loop(state, keep)
+            rigs, rig, state = rigs.select(keep), rig[keep], select_loop(state, keep)
             memory = {name: values[keep] for name, values in memory.items()}
-    return Outcome(n_iterations, has_arrived, None if total is None else total / max(count, 1))
+    return SolveOutcome(n_iterations, has_arrived, None if total is None else total / max(count, 1))
 
 
-def held_out_cases(name: str, n_rigs: int, seed: int) -> tuple[Cases, BundleEstimate]:
+def held_out_rigs(name: str, n_rigs: int, seed: int) -> tuple[RigBatch, BundleEstimate]:
     """Rigs and starts of an evaluation set; the set's name is part of the seed."""
-    rng = np.random.default_rng([seed, sorted(CASE_SETS).index(name)])
-    cases = sample_cases(CASE_SETS[name], n_rigs, rng)
-    return cases, sample_starts(cases, rng)
+    rng = np.random.default_rng([seed, sorted(RIG_SETS).index(name)])
+    rigs = sample_rigs(RIG_SETS[name], n_rigs, rng)
+    return rigs, sample_starts(rigs, rng)
 
 
 SCALE_SCHEDULES = ((1.0,), (4.0, 1.0), (8.0, 4.0, 2.0, 1.0), (1.0, 0.7, 1.0))
@@ -101,12 +102,12 @@ def classical_grid(bend: float = 0.0) -> Iterator[tuple[str, str, Controller]]:
 
 
 def tune_classical(
-    cases: Cases, start: BundleEstimate, tolerance_sigma: float, *, bend: float = 0.0
+    rigs: RigBatch, start: BundleEstimate, tolerance_sigma: float, *, bend: float = 0.0
 ) -> dict[str, tuple[str, Controller]]:
     """The best settings of each family on training rigs: fewest mean iterations."""
     best: dict[str, tuple[float, str, Controller]] = {}
     for family, settings, controller in classical_grid(bend):
-        mean = float(solve_cases(cases, start, controller, tolerance_sigma).n_iterations.mean())
+        mean = float(solve_rigs(rigs, start, controller, tolerance_sigma).n_iterations.mean())
         if family not in best or mean < best[family][0]:
             best[family] = (mean, settings, controller)
     return {family: (settings, controller) for family, (_, settings, controller) in best.items()}
@@ -126,7 +127,7 @@ class Row:
     arrived: float
 
 
-def row_of(set_name: str, controller: str, settings: str, outcome: Outcome) -> Row:
+def row_of(set_name: str, controller: str, settings: str, outcome: SolveOutcome) -> Row:
     """The row of an outcome."""
     n = outcome.n_iterations
     return Row(
@@ -146,57 +147,59 @@ MEAN_ACTION = "the agent's mean action"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exam:
-    """Rigs and starts to be judged on, others of their kind to tune on, and how near counts as arrived."""
+class EvaluationSet:
+    """Rigs and starts to evaluate on, others of their kind to tune on, and how near counts as arrived."""
 
     name: str
     description: str
-    cases: Cases
+    rigs: RigBatch
     start: BundleEstimate
-    practice: Cases
-    practice_start: BundleEstimate
+    tuning: RigBatch
+    tuning_start: BundleEstimate
     tolerance_sigma: float
 
 
-def simulated_exam(name: str, n_rigs: int, seed: int) -> Exam:
-    """The exam of that name in ``CASE_SETS``."""
-    cases, start = held_out_cases(name, n_rigs, seed)
-    return Exam(
-        name, "simulated rigs", cases, start, *held_out_cases(name, TUNING_RIGS, seed + 1_000_003), tolerance_of(name)
+def simulated_evaluation_set(name: str, n_rigs: int, seed: int) -> EvaluationSet:
+    """The evaluation_set of that name in ``RIG_SETS``."""
+    rigs, start = held_out_rigs(name, n_rigs, seed)
+    return EvaluationSet(
+        name, "simulated rigs", rigs, start, *held_out_rigs(name, TUNING_RIGS, seed + 1_000_003), tolerance_of(name)
     )
 
 
-def compare_on(exam: Exam, policies: Mapping[str, Policy], *, tuned: dict[str, Controller] | None = None) -> list[Row]:
-    """Every controller in one exam: classical families as tuned on its practice rigs, and the policies.
+def compare_on(
+    evaluation_set: EvaluationSet, policies: Mapping[str, Policy], *, tuned: dict[str, Controller] | None = None
+) -> list[Row]:
+    """Every controller in one evaluation_set: classical families as tuned on its tuning rigs, and the policies.
 
     The mean action, the same in every iteration, is that of the first policy on the tuning rigs. ``tuned`` receives the
     controllers that were tuned, by row name.
     """
     from binocal.rl.policy import ConstantController, LearnedController
 
-    set_name, tolerance = exam.name, exam.tolerance_sigma
-    practice, practice_start = exam.practice, exam.practice_start
+    set_name, tolerance = evaluation_set.name, evaluation_set.tolerance_sigma
+    tuning, tuning_start = evaluation_set.tuning, evaluation_set.tuning_start
     candidates: list[tuple[str, str, Controller]] = []
-    for family, (settings, controller) in tune_classical(practice, practice_start, tolerance).items():
+    for family, (settings, controller) in tune_classical(tuning, tuning_start, tolerance).items():
         candidates.append((family, settings, controller))
-    bent = tune_classical(practice, practice_start, tolerance, bend=1.0)
+    bent = tune_classical(tuning, tuning_start, tolerance, bend=1.0)
     means = {
-        family: solve_cases(practice, practice_start, controller, tolerance).n_iterations.mean()
+        family: solve_rigs(tuning, tuning_start, controller, tolerance).n_iterations.mean()
         for family, (_, controller) in bent.items()
     }
     best = min(means, key=lambda family: means[family])
     candidates.append((CORRECTED, f"{best}, {bent[best][0]}", bent[best][1]))
     for index, (name, policy) in enumerate(policies.items()):
-        if index == 0 and policy.meaning == "steering":
-            found = solve_cases(practice, practice_start, LearnedController(policy), tolerance).mean_action
-            mean = np.zeros(n_actions(policy.meaning)) if found is None else found
+        if index == 0 and policy.kind == AgentKind.DRL:
+            found = solve_rigs(tuning, tuning_start, LearnedController(policy), tolerance).mean_action
+            mean = np.zeros(n_actions(policy.kind)) if found is None else found
             shown = ", ".join(f"{a:+.2f}" for a in mean)
             candidates.append((MEAN_ACTION, shown, ConstantController(mean)))
         candidates.append((name, "", LearnedController(policy)))
     if tuned is not None:
         tuned.update({name: controller for name, _, controller in candidates})
     return [
-        row_of(set_name, name, settings, solve_cases(exam.cases, exam.start, controller, tolerance))
+        row_of(set_name, name, settings, solve_rigs(evaluation_set.rigs, evaluation_set.start, controller, tolerance))
         for name, settings, controller in candidates
     ]
 

@@ -59,7 +59,7 @@ class TrainingHistory:
     def converged_step(self) -> int | None:
         """The paper's convergence: the first step from which the loss stays within 5 % of its whole fall from where it ends.
 
-        It is the loss averaged over 2 % of the run that is judged. None where it never fell.
+        It is the loss averaged over 2 % of the run that counts. None where it never fell.
         """
         return converged_step(self.step, self.critic_loss)
 

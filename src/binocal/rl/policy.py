@@ -14,8 +14,8 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.errors import FormatError
+from binocal.rl.agent_kind import AgentKind
 from binocal.rl.task import (
-    ActionMeaning,
     TaskState,
     increment_action,
     n_actions,
@@ -28,7 +28,7 @@ from binocal.solvers.bundle import BundleProblem
 from binocal.solvers.controllers import Memory
 from binocal.solvers.steering import Action, LoopState
 
-SHIPPED: dict[str, str] = {"steering": "drl.safetensors", "increments": "drl_increments.safetensors"}
+SHIPPED = {AgentKind.DRL: "drl.safetensors", AgentKind.DRL_INCREMENTS: "drl_increments.safetensors"}
 LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps
 OBSERVATION_LIMIT = 5.0  # in units of the spread, as in training
 
@@ -40,7 +40,7 @@ class Policy:
     ``card`` is what is known of its training.
     """
 
-    meaning: ActionMeaning
+    kind: AgentKind
     mean: Float[ndarray, "o"]
     spread: Float[ndarray, "o"]
     layers: tuple[tuple[Float[ndarray, "out in"], Float[ndarray, "out"]], ...]
@@ -65,19 +65,19 @@ class LearnedController:
     def start(self, batch: tuple[int, ...]) -> Memory:
         """See the protocol."""
         return {
-            "last_action": np.zeros((*batch, n_actions(self.policy.meaning))),
+            "last_action": np.zeros((*batch, n_actions(self.policy.kind))),
             "n_steps": np.zeros(batch, dtype=int),
             "n_rejected": np.zeros(batch, dtype=int),
         }
 
     def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
         """See the protocol. Where the policy's numbers are not finite, neither is the damping, and the guards take over."""
-        meaning = self.policy.meaning
-        seen = observation(problem, TaskState(state, memory["last_action"], memory["n_steps"]), meaning)
+        kind = self.policy.kind
+        seen = observation(problem, TaskState(state, memory["last_action"], memory["n_steps"]), kind)
         raw = self.policy(seen)
         n_rejected = np.where(state.is_kept, 0, memory["n_rejected"] + 1)
         is_sound = np.isfinite(raw).all(axis=-1)
-        action = steering_action(raw, state) if meaning == "steering" else increment_action(problem, state, raw)
+        action = steering_action(raw, state) if kind == AgentKind.DRL else increment_action(problem, state, raw)
         if not is_sound.all():
             action = replace(action, damping=np.where(is_sound, action.damping, np.nan))
             raw = np.where(is_sound[..., None], raw, 0.0)
@@ -119,16 +119,16 @@ def load_policy(path: str | Path) -> Policy:
     except (OSError, SafetensorError) as error:
         raise FormatError(path, f"not a readable safetensors file ({error}).") from None
     try:
-        meaning: ActionMeaning = metadata["meaning"]
-        names = observation_names(meaning)
+        kind = AgentKind.of_stored(metadata.get("kind") or metadata["meaning"])
+        names = observation_names(kind)
         n_layers = sum(name.startswith("weight") for name in arrays)
         layers = tuple((arrays[f"weight{i}"], arrays[f"bias{i}"]) for i in range(n_layers))
-        policy = Policy(meaning, arrays["mean"], arrays["spread"], layers, json.loads(metadata["card"]))
-    except (KeyError, json.JSONDecodeError) as error:
+        policy = Policy(kind, arrays["mean"], arrays["spread"], layers, json.loads(metadata["card"]))
+    except (KeyError, ValueError, json.JSONDecodeError) as error:
         raise FormatError(path, f"not binocal's weights ({error} missing or unreadable).") from None
     sizes = [policy.mean.shape[0], *(w.shape[0] for w, _ in layers)]
     fits = all(w.shape == (b, a) for (w, _), a, b in zip(layers, sizes[:-1], sizes[1:], strict=True))
-    if not fits or sizes[0] != len(names) or sizes[-1] != n_actions(meaning):
+    if not fits or sizes[0] != len(names) or sizes[-1] != n_actions(kind):
         raise FormatError(path, "weights for another version of the observation; train again.")
     return policy
 
@@ -141,11 +141,11 @@ def save_policy(policy: Policy, path: str | Path) -> None:
     for i, (weight, bias) in enumerate(policy.layers):
         arrays |= {f"weight{i}": weight, f"bias{i}": bias}
     single = {name: np.ascontiguousarray(a, dtype=np.float32) for name, a in arrays.items()}
-    save_file(single, str(path), metadata={"meaning": policy.meaning, "card": json.dumps(policy.card, sort_keys=True)})
+    save_file(single, str(path), metadata={"kind": str(policy.kind), "card": json.dumps(policy.card, sort_keys=True)})
 
 
 @cache
-def shipped_policy(meaning: ActionMeaning = "steering") -> Policy:
+def shipped_policy(kind: AgentKind = AgentKind.DRL) -> Policy:
     """The policy that comes with binocal."""
-    with resources.as_file(resources.files("binocal.rl") / "weights" / SHIPPED[meaning]) as path:
+    with resources.as_file(resources.files("binocal.rl") / "weights" / SHIPPED[kind]) as path:
         return load_policy(path)

@@ -1,7 +1,7 @@
-"""Training cases from real detections: many small calibrations drawn from the views of one rig.
+"""Training rigs from real detections: many small calibrations drawn from the views of one rig.
 
 No truth is known and rewards look at none, but at how far the robust cost lies above the lowest that a classical solve found
-(:func:`binocal.rl.rig_batches.way_left_sigma`); the calibration of these very views supplies the intrinsics that are held, and the
+(:func:`binocal.rl.rig_batches.remaining_sigma`); the calibration of these very views supplies the intrinsics that are held, and the
 place around which starts are drawn.
 """
 
@@ -14,14 +14,14 @@ import numpy as np
 from binocal.cameras import camera_model
 from binocal.errors import TooFewViewsError
 from binocal.result import StereoCalibration
-from binocal.rl.rig_batches import CASE_SETS, CaseOptions, Cases, solved_cases
+from binocal.rl.rig_batches import RIG_SETS, RigBatch, RigDistribution, solved_rigs
 from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
 
-MIN_VIEWS_PER_CASE = 3
-MAX_VIEWS_PER_CASE = 12
+MIN_VIEWS_PER_RIG = 3
+MAX_VIEWS_PER_RIG = 12
 
 
-def cases_from_calibration(calibration: StereoCalibration, n_cases: int, rng: np.random.Generator) -> Cases:
+def rigs_from_calibration(calibration: StereoCalibration, n_rigs: int, rng: np.random.Generator) -> RigBatch:
     """Random subsets of the calibration's views, half of them at a time, each a rig of its own.
 
     Raises:
@@ -31,10 +31,10 @@ def cases_from_calibration(calibration: StereoCalibration, n_cases: int, rng: np
     if calibration.evidence is None:
         raise ValueError("a calibration read from a file holds no corners to train on")
     detections, poses = calibration.evidence.detections, calibration.evidence.T_left_board
-    n_views = min(detections.n_views // 2, MAX_VIEWS_PER_CASE)
-    if n_views < MIN_VIEWS_PER_CASE:
-        raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_CASE)
-    pick = np.argsort(rng.random((n_cases, detections.n_views)), axis=1)[:, :n_views]
+    n_views = min(detections.n_views // 2, MAX_VIEWS_PER_RIG)
+    if n_views < MIN_VIEWS_PER_RIG:
+        raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_RIG)
+    pick = np.argsort(rng.random((n_rigs, detections.n_views)), axis=1)[:, :n_views]
     rig = calibration.rig
     cameras = tuple(
         CameraObservations.from_corners(camera_model(camera.model), px[pick], intrinsics=False)
@@ -42,14 +42,14 @@ def cases_from_calibration(calibration: StereoCalibration, n_cases: int, rng: np
     )
     problem = BundleProblem(np.ascontiguousarray(detections.object_points_m.T), cameras)
     known = BundleEstimate(
-        tuple(np.tile(camera.parameters, (n_cases, 1)) for camera in (rig.left, rig.right)),
+        tuple(np.tile(camera.parameters, (n_rigs, 1)) for camera in (rig.left, rig.right)),
         poses.R[pick],
         poses.t[pick],
-        np.tile(rig.T_right_left.R, (n_cases, 1, 1)),
-        np.tile(rig.T_right_left.t, (n_cases, 1)),
+        np.tile(rig.T_right_left.R, (n_rigs, 1, 1)),
+        np.tile(rig.T_right_left.t, (n_rigs, 1)),
     )
-    options: CaseOptions = replace(CASE_SETS["standard"], n_views=n_views)
-    return solved_cases(options, problem, known, np.full(n_cases, calibration.noise_px), has_truth=False)
+    options: RigDistribution = replace(RIG_SETS["standard"], n_views=n_views)
+    return solved_rigs(options, problem, known, np.full(n_rigs, calibration.noise_px), has_truth=False)
 
 
 def tolerance_sigma(n_views: int) -> float:

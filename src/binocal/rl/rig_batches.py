@@ -1,4 +1,4 @@
-"""Simulated rigs on which agents train and are judged: corners, intrinsics that are held, starts, the robust optimum.
+"""Simulated rigs on which agents train and are evaluated: corners, intrinsics that are held, starts, the robust optimum.
 
 A case is a rig with its detections. Its board poses start at the left camera's own robust optimum, as any pose solver
 would leave them; the rig starts off by a rotation and a share of the baseline that are drawn anew for every episode.
@@ -37,7 +37,7 @@ MAX_START_DRAWS = 60  # a start with a board behind the right camera is drawn ag
 
 
 @dataclass(frozen=True, slots=True)
-class CaseOptions:
+class RigDistribution:
     """A distribution of rigs, images and starts. Ranges are uniform unless said otherwise."""
 
     board: str = "chessboard:11x8:20mm"
@@ -60,20 +60,20 @@ class CaseOptions:
 
 _FAR = PoseOptions(fill=(0.15, 0.30), tilt_deg=(0.0, 12.0))  # 11x8 squares of 20 mm at 1 to 2 m
 
-CASE_SETS: dict[str, CaseOptions] = {
-    "standard": CaseOptions(),
-    "weak": CaseOptions(n_views=6, poses=_FAR),
-    "stress": CaseOptions(
+RIG_SETS: dict[str, RigDistribution] = {
+    "standard": RigDistribution(),
+    "weak": RigDistribution(n_views=6, poses=_FAR),
+    "stress": RigDistribution(
         n_views=12,
         outlier_share=(0.1, 0.3),
         reversed_share=0.2,
         rotation_deg=(0.0, 70.0),
         translation_share=(0.0, 1.0),
     ),
-    "good start": CaseOptions(rotation_deg=(2.0, 2.0), translation_share=(0.05, 0.05)),
-    "unseen": CaseOptions(board="chessboard:9x6:35mm", n_views=14, field_deg=(60.0, 75.0), baseline_m=(0.12, 0.25)),
+    "good start": RigDistribution(rotation_deg=(2.0, 2.0), translation_share=(0.05, 0.05)),
+    "unseen": RigDistribution(board="chessboard:9x6:35mm", n_views=14, field_deg=(60.0, 75.0), baseline_m=(0.12, 0.25)),
 }
-"""The sets on which every controller is judged. ``unseen`` has another focal length, board, view count and baseline."""
+"""The sets on which every controller is evaluated. ``unseen`` has another focal length, board, view count and baseline."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,13 +89,13 @@ class LowestCost:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cases:
+class RigBatch:
     """A batch of rigs with the same board and number of views; intrinsics are held at the truth.
 
     ``whitening`` turns a left step from the optimum (rotation, translation) into standard deviations.
     """
 
-    options: CaseOptions
+    options: RigDistribution
     problem: BundleProblem
     optimum: BundleEstimate
     left_poses: tuple[Float[ndarray, "rigs views 3 3"], Float[ndarray, "rigs views 3"]]
@@ -109,7 +109,7 @@ class Cases:
         """Rigs of the batch."""
         return len(self.noise_px)
 
-    def select(self, index: ndarray) -> Cases:
+    def select(self, index: ndarray) -> RigBatch:
         """Those rigs."""
         return replace(
             self,
@@ -133,7 +133,7 @@ def take_rigs(estimate: BundleEstimate, index: ndarray) -> BundleEstimate:
     )
 
 
-def sample_cases(options: CaseOptions, n_rigs: int, rng: np.random.Generator) -> Cases:
+def sample_rigs(options: RigDistribution, n_rigs: int, rng: np.random.Generator) -> RigBatch:
     """Rigs of a distribution, each solved to its robust optimum from the truth."""
     board = parse_board(options.board)
     points = np.ascontiguousarray(board.object_points_m.T)
@@ -153,7 +153,7 @@ def sample_cases(options: CaseOptions, n_rigs: int, rng: np.random.Generator) ->
         for side, px in zip(pixels, scene.project(), strict=True):
             side.append(px)
     noise_px = rng.uniform(*options.noise_px, n_rigs)
-    measured = [measure_corners(np.stack(px), noise_px, options, rng) for px in pixels]
+    measured = [corrupt_corners(np.stack(px), noise_px, options, rng) for px in pixels]
     n_reversed = round(options.reversed_share * options.n_views)
     if n_reversed:
         wrong = np.argsort(rng.random((n_rigs, options.n_views)), axis=1)[:, :n_reversed]
@@ -170,18 +170,18 @@ def sample_cases(options: CaseOptions, n_rigs: int, rng: np.random.Generator) ->
         np.stack([rig.T_right_left.R for rig in rigs]),
         np.stack([rig.T_right_left.t for rig in rigs]),
     )
-    return solved_cases(options, problem, truth, noise_px)
+    return solved_rigs(options, problem, truth, noise_px)
 
 
-def solved_cases(
-    options: CaseOptions,
+def solved_rigs(
+    options: RigDistribution,
     problem: BundleProblem,
     known: BundleEstimate,
     noise_px: Float[ndarray, "rigs"],
     *,
     has_truth: bool = True,
-) -> Cases:
-    """The cases of a problem whose solution is known well enough to start a classical solve near its optimum."""
+) -> RigBatch:
+    """The rigs of a problem whose solution is known well enough to start a classical solve near its optimum."""
     minimum = minimize(problem, known, LoopOptions(tolerance_sigma=1e-3))
     optimum = minimum.estimate
     left = replace(problem, cameras=problem.cameras[:1], is_rig_free=False)
@@ -192,13 +192,13 @@ def solved_cases(
     # the upper triangular factor: |whitening @ xi|² = xi' information xi / noise²
     whitening = np.linalg.cholesky(information).swapaxes(-1, -2) / noise_px[:, None, None]
     lowest = None if has_truth else LowestCost(minimum.equations.cost_px2, minimum.equations.scale_px)
-    return Cases(options, problem, optimum, (alone.R_left_board, alone.t_left_board), whitening, noise_px, lowest)
+    return RigBatch(options, problem, optimum, (alone.R_left_board, alone.t_left_board), whitening, noise_px, lowest)
 
 
-def measure_corners(
+def corrupt_corners(
     px: Float[ndarray, "rigs views n 2"],
     noise_px: Float[ndarray, "rigs"],
-    options: CaseOptions,
+    options: RigDistribution,
     rng: np.random.Generator,
 ) -> Float[ndarray, "rigs views n 2"]:
     """Noise on every coordinate, and outlying corners."""
@@ -211,28 +211,28 @@ def measure_corners(
     return np.where(is_outlier[..., None], out + shift, out)
 
 
-def sample_starts(cases: Cases, rng: np.random.Generator) -> BundleEstimate:
+def sample_starts(rigs: RigBatch, rng: np.random.Generator) -> BundleEstimate:
     """One start for each rig: left camera's own board poses, the rig off by the options' rotation and translation.
 
     Starts that put a corner behind the right camera are drawn again; NaN where that never ended.
     """
-    options, n = cases.options, cases.n_rigs
-    R, t = cases.optimum.R_right_left.copy(), cases.optimum.t_right_left.copy()
+    options, n = rigs.options, rigs.n_rigs
+    R, t = rigs.optimum.R_right_left.copy(), rigs.optimum.t_right_left.copy()
     todo = np.arange(n)
     for _ in range(MAX_START_DRAWS):
         w = _directions(len(todo), rng) * np.radians(rng.uniform(*options.rotation_deg, (len(todo), 1)))
-        baseline = np.linalg.norm(cases.optimum.t_right_left[todo], axis=1, keepdims=True)
+        baseline = np.linalg.norm(rigs.optimum.t_right_left[todo], axis=1, keepdims=True)
         shift = _directions(len(todo), rng) * rng.uniform(*options.translation_share, (len(todo), 1)) * baseline
-        R[todo] = so3.exp(w) @ cases.optimum.R_right_left[todo]
-        t[todo] = cases.optimum.t_right_left[todo] + shift
+        R[todo] = so3.exp(w) @ rigs.optimum.R_right_left[todo]
+        t[todo] = rigs.optimum.t_right_left[todo] + shift
         start = replace(
-            cases.optimum,
-            R_left_board=cases.left_poses[0],
-            t_left_board=cases.left_poses[1],
+            rigs.optimum,
+            R_left_board=rigs.left_poses[0],
+            t_left_board=rigs.left_poses[1],
             R_right_left=R,
             t_right_left=t,
         )
-        part = cases.select(todo)
+        part = rigs.select(todo)
         r2 = residual_lengths2(part.problem, take_rigs(start, todo))
         todo = todo[~np.all([np.isfinite(side).all(axis=(1, 2)) for side in r2], axis=0)]
         if not len(todo):
@@ -241,24 +241,24 @@ def sample_starts(cases: Cases, rng: np.random.Generator) -> BundleEstimate:
     return start
 
 
-def distance_sigma(cases: Cases, estimate: BundleEstimate) -> Float[ndarray, "rigs"]:
+def distance_sigma(rigs: RigBatch, estimate: BundleEstimate) -> Float[ndarray, "rigs"]:
     """Mahalanobis distance of R and T from the robust optimum, in standard deviations (norm over all six)."""
-    omega = so3.log(estimate.R_right_left @ cases.optimum.R_right_left.swapaxes(-1, -2))
-    tau = estimate.t_right_left - cases.optimum.t_right_left - np.cross(omega, cases.optimum.t_right_left)
+    omega = so3.log(estimate.R_right_left @ rigs.optimum.R_right_left.swapaxes(-1, -2))
+    tau = estimate.t_right_left - rigs.optimum.t_right_left - np.cross(omega, rigs.optimum.t_right_left)
     xi = np.concatenate([omega, tau], axis=-1)
-    return np.linalg.norm((cases.whitening @ xi[..., None])[..., 0], axis=-1)
+    return np.linalg.norm((rigs.whitening @ xi[..., None])[..., 0], axis=-1)
 
 
-def way_left_sigma(cases: Cases, loop: LoopState) -> Float[ndarray, "rigs"]:
+def remaining_sigma(rigs: RigBatch, loop: LoopState) -> Float[ndarray, "rigs"]:
     """What is left to the optimum: :func:`distance_sigma`, or without truth the same from the robust cost.
 
     Near the optimum the cost exceeds the lowest one by half the squared distance over all unknowns, in standard deviations
     and times the noise squared; far from it and in a wrong minimum it stays large, as it should.
     """
-    if cases.lowest is None:
-        return distance_sigma(cases, loop.estimate)
-    excess = cost_under(loop.equations, cases.lowest.scale_px, "hampel") - cases.lowest.cost_px2
-    return np.sqrt(2 * np.maximum(excess, 0.0)) / cases.lowest.scale_px
+    if rigs.lowest is None:
+        return distance_sigma(rigs, loop.estimate)
+    excess = cost_under(loop.equations, rigs.lowest.scale_px, "hampel") - rigs.lowest.cost_px2
+    return np.sqrt(2 * np.maximum(excess, 0.0)) / rigs.lowest.scale_px
 
 
 def _directions(n: int, rng: np.random.Generator) -> Float[ndarray, "n 3"]:

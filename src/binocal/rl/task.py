@@ -2,25 +2,23 @@
 
 An episode is one robust solve. The state is where the solve stands, the observation a row of scale-free numbers, the
 action what the next iteration does, the reward the fall in error. Source: the paper, section 3.2.2; what the action means
-is decided by an :class:`ActionMeaning` (``steering``: the solver's own knobs; ``increments``: the change of R, T itself).
+is decided by an :class:`~binocal.rl.agent_kind.AgentKind`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.rl.agent_kind import AgentKind
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.bundle import BundleEstimate, BundleProblem, shared_information
 from binocal.solvers.steering import OBSERVED, Action, LoopState, advance, begin, observe
 
 KERNEL = "hampel"
 MAX_STEPS = 25  # an episode that has not arrived by then has failed
-
-ActionMeaning = Literal["steering", "increments"]
 
 STEERING = (
     "log damping",
@@ -56,41 +54,41 @@ class TaskState:
     n_steps: Int[ndarray, "*batch"]
 
 
-def n_actions(meaning: ActionMeaning) -> int:
+def n_actions(kind: AgentKind) -> int:
     """Numbers in an action."""
-    return len(STEERING if meaning == "steering" else INCREMENTS)
+    return len(STEERING if kind == AgentKind.DRL else INCREMENTS)
 
 
-def observation_names(meaning: ActionMeaning) -> tuple[str, ...]:
+def observation_names(kind: AgentKind) -> tuple[str, ...]:
     """What :func:`observation` returns, in order."""
-    last = tuple(f"last {name}" for name in (STEERING if meaning == "steering" else INCREMENTS))
-    own = () if meaning == "steering" else tuple(f"Gauss-Newton step, {name}" for name in INCREMENTS)
+    last = tuple(f"last {name}" for name in (STEERING if kind == AgentKind.DRL else INCREMENTS))
+    own = () if kind == AgentKind.DRL else tuple(f"Gauss-Newton step, {name}" for name in INCREMENTS)
     return (*OBSERVED, "steps so far, over 10", *last, *own)
 
 
-def initial(problem: BundleProblem, start: BundleEstimate, meaning: ActionMeaning) -> TaskState:
+def initial(problem: BundleProblem, start: BundleEstimate, kind: AgentKind) -> TaskState:
     """The first state of an episode for each rig."""
     loop = begin(problem, start, KERNEL)
     batch = loop.mad_px.shape
-    return TaskState(loop, np.zeros((*batch, n_actions(meaning))), np.zeros(batch, dtype=int))
+    return TaskState(loop, np.zeros((*batch, n_actions(kind))), np.zeros(batch, dtype=int))
 
 
-def observation(problem: BundleProblem, state: TaskState, meaning: ActionMeaning) -> Float[ndarray, "*batch o"]:
+def observation(problem: BundleProblem, state: TaskState, kind: AgentKind) -> Float[ndarray, "*batch o"]:
     """What the agent sees."""
     parts = [observe(problem, state.loop), state.n_steps[..., None] / 10, state.last_action]
-    if meaning == "increments":
+    if kind == AgentKind.DRL_INCREMENTS:
         _, whitened = _whitened_step(problem, state.loop)
         parts.append(whitened / np.maximum(np.linalg.norm(whitened, axis=-1, keepdims=True), 1e-300))
     return np.concatenate(parts, axis=-1)
 
 
 def transition(
-    problem: BundleProblem, state: TaskState, action: Float[ndarray, "*batch a"], meaning: ActionMeaning
+    problem: BundleProblem, state: TaskState, action: Float[ndarray, "*batch a"], kind: AgentKind
 ) -> TaskState:
     """The state after an action; the given state is not altered. A number that is not finite counts as 0."""
     action = np.clip(np.where(np.isfinite(action), action, 0.0), -1.0, 1.0)
     decoded = (
-        steering_action(action, state.loop) if meaning == "steering" else increment_action(problem, state.loop, action)
+        steering_action(action, state.loop) if kind == AgentKind.DRL else increment_action(problem, state.loop, action)
     )
     return TaskState(advance(problem, state.loop, decoded, KERNEL), action, state.n_steps + 1)
 

@@ -8,13 +8,14 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs the train extra")
 
 from binocal.errors import DataError, FormatError, OutputExistsError  # noqa: E402
+from binocal.rl.agent_kind import AgentKind  # noqa: E402
 from binocal.rl.policy import load_policy  # noqa: E402
-from binocal.rl.rig_batches import CASE_SETS, sample_cases  # noqa: E402
+from binocal.rl.rig_batches import RIG_SETS, sample_rigs  # noqa: E402
 from binocal.rl.training import run_folder  # noqa: E402
 from binocal.rl.training.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
 from binocal.rl.training.imitation import Imitation  # noqa: E402
 from binocal.rl.training.td3 import TD3Options  # noqa: E402
-from binocal.rl.training.trainer import CENTRES, Training, TrainingOptions, default_options, run  # noqa: E402
+from binocal.rl.training.trainer import CENTRES, Training, TrainingOptions, default_options, run_training  # noqa: E402
 
 OPTIONS = TrainingOptions(
     n_steps=600,
@@ -31,9 +32,9 @@ OPTIONS = TrainingOptions(
 
 @pytest.fixture(scope="module")
 def pools():
-    options = replace(CASE_SETS["weak"], board="chessboard:5x4:40mm", n_views=4)
+    options = replace(RIG_SETS["weak"], board="chessboard:5x4:40mm", n_views=4)
     rng = np.random.default_rng(0)
-    return [(sample_cases(options, 24, rng), 0.1)], [(sample_cases(options, 8, rng), 0.1)]
+    return [(sample_rigs(options, 24, rng), 0.1)], [(sample_rigs(options, 8, rng), 0.1)]
 
 
 def weights_of(training):
@@ -42,13 +43,13 @@ def weights_of(training):
 
 def finished(options, pools):
     training = Training(options, *pools)
-    run(training, on_check=lambda *_: None)
+    run_training(training, on_check=lambda *_: None)
     return training
 
 
-@pytest.mark.parametrize("meaning", ["steering", "increments"])
-def test_the_same_seed_gives_the_same_weights_and_another_other_ones(pools, meaning):
-    options = replace(OPTIONS, meaning=meaning)
+@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
+def test_the_same_seed_gives_the_same_weights_and_another_other_ones(pools, kind):
+    options = replace(OPTIONS, kind=kind)
     first, second = finished(options, pools), finished(options, pools)
     other = finished(replace(options, seed=1), pools)
     a, b, c = weights_of(first), weights_of(second), weights_of(other)
@@ -60,13 +61,13 @@ def test_the_same_seed_gives_the_same_weights_and_another_other_ones(pools, mean
 def test_a_run_that_was_killed_ends_where_it_would_have_ended(pools, tmp_path):
     whole = finished(OPTIONS, pools)
     cut = Training(OPTIONS, *pools)
-    run(cut, on_check=lambda *_: None, is_cancelled=lambda: cut.n_generations >= 3)
+    run_training(cut, on_check=lambda *_: None, is_cancelled=lambda: cut.n_generations >= 3)
     assert not cut.is_done
     save_checkpoint(cut, tmp_path / "c.pt")
     cut.generation()  # what was done after the checkpoint is lost with the process
     resumed = Training(OPTIONS, *pools)
     resumed.restore(load_checkpoint(tmp_path / "c.pt"))
-    run(resumed, on_check=lambda *_: None)
+    run_training(resumed, on_check=lambda *_: None)
     a, b = weights_of(whole), weights_of(resumed)
     assert all(np.array_equal(a[name], b[name]) for name in a)
     assert whole.n_steps == resumed.n_steps and whole.trace == resumed.trace
@@ -87,27 +88,29 @@ def test_a_checkpoint_of_other_options_is_refused(pools, tmp_path):
 @pytest.mark.parametrize("targets", ["soft", "hard"])
 def test_training_teaches_the_agent_to_solve_what_it_could_not(targets):
     # untrained, the agent solves 3 of 10 of these rigs within 25 iterations; measured after training: 8 of 10 (soft)
-    rigs, rng = replace(CASE_SETS["stress"], board="chessboard:5x4:40mm", n_views=6), np.random.default_rng(0)
-    shipped = default_options("steering")
+    rigs, rng = replace(RIG_SETS["stress"], board="chessboard:5x4:40mm", n_views=6), np.random.default_rng(0)
+    shipped = default_options(AgentKind.DRL)
     options = replace(
         shipped, n_steps=24_000, n_checks=4, rigs_per_generation=64, critic_lead=50, steps_per_update=8.0,
         td3=replace(shipped.td3, targets=targets),
     )  # fmt: skip
-    training = finished(options, ([(sample_cases(rigs, 200, rng), 0.3)], [(sample_cases(rigs, 40, rng), 0.3)]))
+    training = finished(options, ([(sample_rigs(rigs, 200, rng), 0.3)], [(sample_rigs(rigs, 40, rng), 0.3)]))
     first, last = training.checks[0], training.checks[-1]
     assert last.iterations[0] < 0.7 * first.iterations[0]
     assert last.success[0] > first.success[0] + 0.2
 
 
-def test_the_twin_learns_from_the_best_of_what_it_tries(pools):
-    twin = Imitation(OPTIONS, pools[0])
-    before = {name: value.clone() for name, value in twin.weights().items()}
+def test_the_imitation_learns_from_the_best_of_what_it_tries(pools):
+    imitation = Imitation(OPTIONS, pools[0])
+    before = {name: value.clone() for name, value in imitation.weights().items()}
     for _ in range(3):
-        twin.generation()
-    assert len(twin.lessons) > 0 and twin.n_steps > 16 * 24
-    assert not torch.equal(before["body.0.weight"], twin.weights()["body.0.weight"])
-    taught = twin.lessons.action[: len(twin.lessons)]
-    assert np.abs(taught - CENTRES["steering"]).mean() > 0.05  # the lesson is not what an untrained pupil does anyway
+        imitation.generation()
+    assert len(imitation.target_actions) > 0 and imitation.n_steps > 16 * 24
+    assert not torch.equal(before["body.0.weight"], imitation.weights()["body.0.weight"])
+    wanted = imitation.target_actions.action[: len(imitation.target_actions)]
+    assert (
+        np.abs(wanted - CENTRES[AgentKind.DRL]).mean() > 0.05
+    )  # the target is not what an untrained student does anyway
 
 
 def test_a_session_leaves_weights_card_history_and_goes_on(pools, tmp_path):
@@ -137,3 +140,16 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path):
     with pytest.raises(DataError, match="is a file"):
         run_folder.prepare_folder(tmp_path / "mine.txt")
     assert (tmp_path / "mine.txt").read_text() == "precious"
+
+
+def test_a_checkpoint_of_release_0_1_is_gone_on_with(pools):
+    cut = Training(OPTIONS, *pools)
+    cut.generation()
+    state = cut.state()
+    state["options"]["meaning"] = {"drl": "steering"}[state["options"].pop("kind")]
+    resumed = Training(OPTIONS, *pools)
+    resumed.restore(state)
+    assert resumed.n_steps == cut.n_steps
+    state["options"]["meaning"] = "increments"
+    with pytest.raises(ValueError, match=r"other options \(kind\)"):
+        resumed.restore(state)

@@ -1,10 +1,10 @@
-"""The supervised twin: the same actor, taught by a search instead of by a critic.
+"""Imitation of a one-step search: the same actor, taught by supervised learning instead of by a critic.
 
-In every state that the pupil meets, a number of actions around its own and at random are tried on the simulated rig, and the one
-that leaves the shortest way to the optimum is the lesson. It needs the truth of every rig and several evaluations of each
-step, which the actor-critic does not; it looks one step ahead only, which the actor-critic does not either.
+In every state that the student meets, a number of actions around its own and at random are tried on the simulated rig, and the one
+that leaves the shortest distance to the optimum is the target action. It needs the truth of every rig and several evaluations of
+each step, which the actor-critic does not; it looks one step ahead only, which the actor-critic does not either.
 Source: Ross, Gordon & Bagnell 2011, "A reduction of imitation learning and structured prediction to no-regret online
-learning" (DAgger: the pupil's own states, the teacher's actions).
+learning" (DAgger: the student's own states, the expert's actions).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import torch
 from numpy import ndarray
 
 from binocal.rl.policy import Policy
-from binocal.rl.rig_batches import Cases, sample_starts, select_loop, way_left_sigma
+from binocal.rl.rig_batches import RigBatch, remaining_sigma, sample_starts, select_loop
 from binocal.rl.task import TaskState, initial, n_actions, observation, observation_names, transition
 from binocal.rl.training.networks import Actor
 from binocal.rl.training.replay import ReplayBuffer
@@ -26,64 +26,64 @@ from binocal.rl.training.trainer import CENTRES, MAX_TRAINING_STEPS, TrainingOpt
 N_TRIED = 16  # actions tried in each state
 SEARCH_SPREAD = 0.3
 UPDATES_PER_STEP = 4
-LEAST_GAIN_DECADES = 0.02  # a better action than this is no lesson: noise of the search
+LEAST_GAIN_DECADES = 0.02  # a smaller gain is noise of the search, not a target
 
 
 class Imitation:
-    """A run of the twin: pupil, lessons, generators."""
+    """A run of imitation: the student, its target actions, generators."""
 
-    def __init__(self, options: TrainingOptions, pools: list[tuple[Cases, float]]) -> None:
+    def __init__(self, options: TrainingOptions, pools: list[tuple[RigBatch, float]]) -> None:
         self.options, self.pools = options, pools
         torch.manual_seed(options.seed)
         td3: TD3Options = options.td3
-        n_observed, n = len(observation_names(options.meaning)), n_actions(options.meaning)
-        self.actor = Actor(n_observed, n, td3.actor_widths, CENTRES[options.meaning])
+        n_observed, n = len(observation_names(options.kind)), n_actions(options.kind)
+        self.actor = Actor(n_observed, n, td3.actor_widths, CENTRES[options.kind])
         self.optimiser = torch.optim.Adam(self.actor.parameters(), lr=td3.learning_rate)
         self.rng = np.random.default_rng([options.seed, 4])
-        self.lessons = ReplayBuffer(options.capacity, n_observed, n)
+        self.target_actions = ReplayBuffer(options.capacity, n_observed, n)
         self.n_steps, self.n_generations = 0, 0
 
     def generation(self) -> None:
-        """One pool's episodes: search in every state, then learn from all lessons so far."""
+        """One pool's episodes: search in every state, then learn from all target actions so far."""
         pool, tolerance = self.pools[self.n_generations % len(self.pools)]
-        cases = pool.select(self.rng.permutation(pool.n_rigs)[: self.options.rigs_per_generation])
-        meaning = self.options.meaning
-        state = initial(cases.problem, sample_starts(cases, self.rng), meaning)
+        rigs = pool.select(self.rng.permutation(pool.n_rigs)[: self.options.rigs_per_generation])
+        kind = self.options.kind
+        state = initial(rigs.problem, sample_starts(rigs, self.rng), kind)
         for _ in range(MAX_TRAINING_STEPS):
-            seen = observation(cases.problem, state, meaning)
-            taught, following = self._search(cases, state, seen, tolerance)
+            seen = observation(rigs.problem, state, kind)
+            wanted, following = self._search(rigs, state, seen, tolerance)
             nothing = np.zeros(len(seen))
-            self.lessons.add(seen, taught, nothing, np.zeros_like(seen), nothing > 0)
+            self.target_actions.add(seen, wanted, nothing, np.zeros_like(seen), nothing > 0)
             if self.n_generations == 0:
                 self._normalise()
-            keep = np.flatnonzero(way_left_sigma(cases, following.loop) > tolerance)
+            keep = np.flatnonzero(remaining_sigma(rigs, following.loop) > tolerance)
             if not len(keep):
                 break
-            cases = cases.select(keep)
+            rigs = rigs.select(keep)
             state = TaskState(select_loop(following.loop, keep), following.last_action[keep], following.n_steps[keep])
             self._learn(UPDATES_PER_STEP)
         self.n_generations += 1
 
     def weights(self) -> dict[str, Any]:
-        """The pupil's weights."""
+        """The student's weights."""
         return {name: value.clone() for name, value in self.actor.state_dict().items()}
 
     def policy(self) -> Policy:
-        """The pupil as a policy."""
-        return policy_of(self.options.meaning, self.weights(), {})
+        """The student as a policy."""
+        return policy_of(self.options.kind, self.weights(), {})
 
-    def _search(self, cases: Cases, state: TaskState, seen: ndarray, tolerance: float) -> tuple[ndarray, TaskState]:
-        """The best action tried for each rig, and the state that the pupil's own action leads to."""
+    def _search(self, rigs: RigBatch, state: TaskState, seen: ndarray, tolerance: float) -> tuple[ndarray, TaskState]:
+        """The best action tried for each rig, and the state that the student's own action leads to."""
         with torch.no_grad():
             own = self.actor(torch.as_tensor(seen, dtype=torch.float32)).numpy().astype(float)
-        following = transition(cases.problem, state, own, self.options.meaning)
-        best_action, best = own, _decades(cases, following, tolerance) - LEAST_GAIN_DECADES
+        following = transition(rigs.problem, state, own, self.options.kind)
+        best_action, best = own, _decades(rigs, following, tolerance) - LEAST_GAIN_DECADES
         for trial in range(1, N_TRIED):
             if trial % 4:
                 action = np.clip(own + SEARCH_SPREAD * self.rng.standard_normal(own.shape), -1, 1)
             else:
                 action = self.rng.uniform(-1, 1, own.shape)
-            left = _decades(cases, transition(cases.problem, state, action, self.options.meaning), tolerance)
+            left = _decades(rigs, transition(rigs.problem, state, action, self.options.kind), tolerance)
             is_better = left < best
             best_action = np.where(is_better[:, None], action, best_action)
             best = np.where(is_better, left, best)
@@ -91,20 +91,20 @@ class Imitation:
         return best_action, following
 
     def _normalise(self) -> None:
-        values = torch.as_tensor(self.lessons.observation[: len(self.lessons)])
+        values = torch.as_tensor(self.target_actions.observation[: len(self.target_actions)])
         self.actor.mean.copy_(values.mean(dim=0))
         self.actor.spread.copy_(values.std(dim=0).clamp_min(1e-2))
 
     def _learn(self, n_updates: int) -> None:
         for _ in range(n_updates):
-            observed, action, *_ = self.lessons.sample(self.options.batch_size, self.rng)
+            observed, action, *_ = self.target_actions.sample(self.options.batch_size, self.rng)
             loss = torch.nn.functional.mse_loss(self.actor(torch.as_tensor(observed)), torch.as_tensor(action))
             self.optimiser.zero_grad(set_to_none=True)
             loss.backward()
             self.optimiser.step()
 
 
-def _decades(cases: Cases, state: TaskState, tolerance: float) -> ndarray:
+def _decades(rigs: RigBatch, state: TaskState, tolerance: float) -> ndarray:
     """Decades that are left to the tolerance."""
-    sigma = np.nan_to_num(way_left_sigma(cases, state.loop), nan=1e8)
+    sigma = np.nan_to_num(remaining_sigma(rigs, state.loop), nan=1e8)
     return np.log10(np.maximum(sigma, tolerance) / tolerance)

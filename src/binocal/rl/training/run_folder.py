@@ -11,17 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from binocal.errors import DataError, OutputExistsError
-from binocal.rl.evaluation import Exam, Row, compare_on, format_rows, simulated_exam
+from binocal.rl.evaluation import EvaluationSet, Row, compare_on, format_rows, simulated_evaluation_set
 from binocal.rl.history import TrainingHistory, load_history, write_history
 from binocal.rl.policy import Policy, load_policy, save_policy, shipped_policy
-from binocal.rl.rig_batches import CASE_SETS, Cases
+from binocal.rl.rig_batches import RIG_SETS, RigBatch
 from binocal.rl.training.checkpoint import load_checkpoint, save_checkpoint
-from binocal.rl.training.trainer import TRAINING_SETS, Check, Training, TrainingOptions, run, simulated_pools
+from binocal.rl.training.trainer import TRAINING_SETS, Check, Training, TrainingOptions, run_training, simulated_pools
 
 CHECKPOINT, WEIGHTS, HISTORY = "checkpoint.pt", "weights.safetensors", "history.npz"
 CHECKS, CARD, TABLE = "checks.json", "card.md", "table.json"
 SECONDS_PER_CHECKPOINT = 30.0
-AGENT_NAMES = {"steering": "drl", "increments": "drl-increments"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,8 +90,8 @@ def train_agent(
     folder: Path,
     options: TrainingOptions,
     *,
-    pools: tuple[list[tuple[Cases, float]], list[tuple[Cases, float]]] | None = None,
-    exam: Exam | None = None,
+    pools: tuple[list[tuple[RigBatch, float]], list[tuple[RigBatch, float]]] | None = None,
+    evaluation_set: EvaluationSet | None = None,
     description: str = "",
     n_rigs: int = 1000,
     command: str = "",
@@ -104,17 +103,17 @@ def train_agent(
     """Trains in ``folder``, going on from its checkpoint if there is one, and evaluates beside the shipped agent.
 
     ``pools`` are training and validation rigs (simulated ones if None), ``description`` says in the card what they are. Without
-    an ``exam`` the agent is judged on ``n_rigs`` rigs of each of ``CASE_SETS``; 0 leaves that out.
+    an ``evaluation_set`` the agent is evaluated on ``n_rigs`` rigs of each of ``RIG_SETS``; 0 leaves that out.
     ``seconds`` limits the time spent in episodes and gradient steps; a run that it cuts can be gone on with.
 
     Raises:
         DataError: The folder's checkpoint is of a run with other options.
     """
-    told = progress or (lambda *_: None)
+    report = progress or (lambda *_: None)
     if pools is None:
-        told("rigs", 0, 1)
+        report("rigs", 0, 1)
         pools = simulated_pools(options)
-        told("rigs", 1, 1)
+        report("rigs", 1, 1)
     training = Training(options, *pools)
     path = folder / CHECKPOINT
     was_resumed = path.exists()
@@ -132,7 +131,7 @@ def train_agent(
         saved_at_s = [training.elapsed_s]
 
         def on_generation(current: Training) -> None:
-            told("training", min(current.n_steps, options.n_steps), options.n_steps)
+            report("training", min(current.n_steps, options.n_steps), options.n_steps)
             if current.elapsed_s - saved_at_s[0] >= SECONDS_PER_CHECKPOINT:
                 save_checkpoint(current, path)
                 saved_at_s[0] = current.elapsed_s
@@ -140,33 +139,33 @@ def train_agent(
         def is_cancelled() -> bool:
             return should_stop() or (seconds is not None and training.elapsed_s >= seconds)
 
-        run(training, on_check=on_check, on_generation=on_generation, is_cancelled=is_cancelled)
+        run_training(training, on_check=on_check, on_generation=on_generation, is_cancelled=is_cancelled)
         if not training.checks or training.checks[-1].n_steps < training.n_steps:
             on_check(training, training.check())
     save_checkpoint(training, path)
     card = _facts(training, description, command, version)
     policy = training.policy(card, best=True)
     rows: list[Row] = []
-    name = AGENT_NAMES[options.meaning]
-    policies = {name: policy, f"{name}, as shipped": shipped_policy(options.meaning)}
-    exams = (
-        [partial(simulated_exam, sort, n_rigs, options.seed + 1) for sort in CASE_SETS]
-        if exam is None
-        else [lambda: exam]
+    name = str(options.kind)
+    policies = {name: policy, f"{name}, as shipped": shipped_policy(options.kind)}
+    evaluation_sets = (
+        [partial(simulated_evaluation_set, sort, n_rigs, options.seed + 1) for sort in RIG_SETS]
+        if evaluation_set is None
+        else [lambda: evaluation_set]
     )
     if n_rigs:
-        for index, prepare in enumerate(exams):
-            told("evaluation", index, len(exams))
+        for index, prepare in enumerate(evaluation_sets):
+            report("evaluation", index, len(evaluation_sets))
             rows += compare_on(prepare(), policies)
-        told("evaluation", len(exams), len(exams))
+        report("evaluation", len(evaluation_sets), len(evaluation_sets))
         card |= {"table": [asdict(row) for row in rows]}
     policy = replace(policy, card={key: value for key, value in card.items() if key != "table"})
     save_policy(policy, folder / WEIGHTS)
     write_history(training.history(), folder / HISTORY)
     (folder / CHECKS).write_text(json.dumps([asdict(check) for check in training.checks], indent=1), encoding="utf-8")
     (folder / TABLE).write_text(json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8")
-    judged_on = "rigs never trained on" if exam is None else exam.description
-    (folder / CARD).write_text(model_card(card, rows, judged_on), encoding="utf-8")
+    evaluated_on = "rigs never trained on" if evaluation_set is None else evaluation_set.description
+    (folder / CARD).write_text(model_card(card, rows, evaluated_on), encoding="utf-8")
     return TrainingRun(
         folder,
         policy,
@@ -185,7 +184,7 @@ def _facts(training: Training, description: str, command: str, version: str) -> 
     options = training.options
     best = min(training.checks, key=lambda check: check.score)
     return {
-        "agent": AGENT_NAMES[options.meaning],
+        "agent": str(options.kind),
         "binocal": version,
         "command": command,
         "seed": options.seed,
@@ -197,11 +196,11 @@ def _facts(training: Training, description: str, command: str, version: str) -> 
         "steps_per_s": round(training.n_steps / max(training.elapsed_s, 1e-9)),
         "best_check_at_step": best.n_steps,
         "rigs": description or f"{len(TRAINING_SETS)} simulated distributions, {options.rigs_per_pool} rigs each",
-        "options": asdict(options),
+        "options": options.document(),
     }
 
 
-def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...], judged_on: str) -> str:
+def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...], evaluated_on: str) -> str:
     """The card as Markdown."""
     td3 = facts["options"]["td3"]
     lines = [
@@ -218,7 +217,7 @@ def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...], judged_
     ]
     if rows:
         lines += [
-            f"On {judged_on} ({rows[0].n_rigs} each); one iteration is one candidate evaluated, failures count 25.",
+            f"On {evaluated_on} ({rows[0].n_rigs} each); one iteration is one candidate evaluated, failures count 25.",
             "",
             format_rows(rows),
             "",

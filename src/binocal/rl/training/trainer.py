@@ -17,11 +17,12 @@ import numpy as np
 import torch
 from numpy import ndarray
 
-from binocal.rl.episodes import Outcome, Transitions, run_episodes
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.episodes import EpisodeOutcome, Transitions, run_episodes
 from binocal.rl.history import TrainingHistory
 from binocal.rl.policy import Policy
-from binocal.rl.rig_batches import CASE_SETS, CaseOptions, Cases, sample_cases, sample_starts
-from binocal.rl.task import INCREMENT_REACH, ActionMeaning, n_actions, observation_names
+from binocal.rl.rig_batches import RIG_SETS, RigBatch, RigDistribution, sample_rigs, sample_starts
+from binocal.rl.task import INCREMENT_REACH, n_actions, observation_names
 from binocal.rl.training.networks import Actor
 from binocal.rl.training.replay import ReplayBuffer
 from binocal.rl.training.td3 import TD3, TD3Options
@@ -32,20 +33,20 @@ if TYPE_CHECKING:
 
 SMALL_BOARD = "chessboard:7x5:32mm"  # the size of the paper's board with two fifths of its corners: episodes cost less
 
-TRAINING_SETS: tuple[tuple[CaseOptions, float], ...] = tuple(
+TRAINING_SETS: tuple[tuple[RigDistribution, float], ...] = tuple(
     (replace(options, board=SMALL_BOARD), tolerance)
     for options, tolerance in (
-        (replace(CASE_SETS["standard"], n_views=16), 0.1),
-        (CASE_SETS["weak"], 0.1),
-        (CASE_SETS["stress"], 0.3),
-        (replace(CASE_SETS["standard"], n_views=8), 0.1),
+        (replace(RIG_SETS["standard"], n_views=16), 0.1),
+        (RIG_SETS["weak"], 0.1),
+        (RIG_SETS["stress"], 0.3),
+        (replace(RIG_SETS["standard"], n_views=8), 0.1),
     )
 )
 """Distributions that the shipped agents train on, and standard deviations from the optimum that end an episode."""
 
-CENTRES: dict[ActionMeaning, tuple[float, ...] | None] = {
-    "steering": (-0.1, 0.0, 0.0, 0.0, 0.8, -0.1),
-    "increments": None,
+CENTRES: dict[AgentKind, tuple[float, ...] | None] = {
+    AgentKind.DRL: (-0.1, 0.0, 0.0, 0.0, 0.8, -0.1),
+    AgentKind.DRL_INCREMENTS: None,
 }
 """What an untrained actor does, and where random actions begin: a corrected step; nothing at all."""
 
@@ -58,7 +59,7 @@ MAX_TRAINING_STEPS = 15  # an episode is cut here: an agent that has not arrived
 class TrainingOptions:
     """How a run goes. ``n_steps`` counts transitions of single rigs."""
 
-    meaning: ActionMeaning = "steering"
+    kind: AgentKind = AgentKind.DRL
     seed: int = 0
     n_steps: int = 2_000_000
     td3: TD3Options = field(default_factory=lambda: TD3Options(discount=0.9, learning_rate=7e-4))
@@ -76,14 +77,18 @@ class TrainingOptions:
     critic_lead: int = 500
     """Updates of the critics before the actor follows them."""
 
+    def document(self) -> dict[str, Any]:
+        """The options as plain data, for checkpoints and cards."""
+        return asdict(self) | {"kind": str(self.kind)}
 
-def default_options(meaning: ActionMeaning) -> TrainingOptions:
-    """The options that the shipped agent of that meaning was trained with, up to its seed.
+
+def default_options(kind: AgentKind) -> TrainingOptions:
+    """The options that the shipped agent of that kind was trained with, up to its seed.
 
     An increment is one step long as a whole: noise that steering shrugs off keeps it from ever arriving.
     """
-    options = TrainingOptions(meaning=meaning)
-    if meaning == "steering":
+    options = TrainingOptions(kind=kind)
+    if kind == AgentKind.DRL:
         return options
     td3 = replace(options.td3, smoothing=0.02, smoothing_limit=0.05)
     return replace(options, n_steps=1_500_000, exploration=(0.08, 0.01), td3=td3)
@@ -117,7 +122,7 @@ class Training:
     """A run and all that lives in it: networks, replay buffer, generators, counters."""
 
     def __init__(
-        self, options: TrainingOptions, pools: list[tuple[Cases, float]], validation: list[tuple[Cases, float]]
+        self, options: TrainingOptions, pools: list[tuple[RigBatch, float]], validation: list[tuple[RigBatch, float]]
     ) -> None:
         if not pools:
             raise ValueError("training needs at least one pool of rigs")
@@ -125,8 +130,8 @@ class Training:
         torch.manual_seed(options.seed)  # the networks' first weights
         self.rng, self.sampling = (np.random.default_rng([options.seed, stream]) for stream in (1, 5))
         self.noise = torch.Generator().manual_seed(options.seed)
-        n_observed, n = len(observation_names(options.meaning)), n_actions(options.meaning)
-        self.td3 = TD3(n_observed, n, options.td3, CENTRES[options.meaning])
+        n_observed, n = len(observation_names(options.kind)), n_actions(options.kind)
+        self.td3 = TD3(n_observed, n, options.td3, CENTRES[options.kind])
         self.buffer = ReplayBuffer(options.capacity, n_observed, n)
         self.n_steps, self.n_generations, self.elapsed_s = 0, 0, 0.0
         self.losses: list[float] = []
@@ -148,7 +153,7 @@ class Training:
                 pool,
                 start,
                 self._random,
-                self.options.meaning,
+                self.options.kind,
                 tolerance_sigma=tolerance,
                 max_steps=12,
                 on_step=self._store,
@@ -182,7 +187,7 @@ class Training:
                 part,
                 sample_starts(part, self.rng),
                 explore,
-                options.meaning,
+                options.kind,
                 tolerance_sigma=tolerance,
                 max_steps=MAX_TRAINING_STEPS,
                 on_step=collected.append,
@@ -196,7 +201,7 @@ class Training:
 
     def check(self) -> Check:
         """A held-out check of the averaged actor; the best one so far is kept."""
-        outcomes: list[Outcome] = []
+        outcomes: list[EpisodeOutcome] = []
         predicted: list[ndarray] = []
         policy = self.policy({})
         for index, (pool, tolerance) in enumerate(self.validation):
@@ -214,7 +219,7 @@ class Training:
                     pool,
                     start,
                     act,
-                    self.options.meaning,
+                    self.options.kind,
                     tolerance_sigma=tolerance,
                     discount=self.options.td3.discount,
                 )
@@ -243,7 +248,7 @@ class Training:
     def policy(self, card: dict[str, Any], *, best: bool = False, of: Actor | None = None) -> Policy:
         """The averaged (target) actor as a policy: as it is now, or as it was at the best check; or another actor."""
         weights = self.best["weights"] if best and self.best else (of or self.td3.target_actor).state_dict()
-        return policy_of(self.options.meaning, weights, card)
+        return policy_of(self.options.kind, weights, card)
 
     def history(self) -> TrainingHistory:
         """The run so far, for the figure."""
@@ -263,7 +268,7 @@ class Training:
     def state(self) -> dict[str, Any]:
         """Everything that going on needs, for a checkpoint."""
         return {
-            "options": asdict(self.options),
+            "options": self.options.document(),
             "td3": self.td3.state(),
             "buffer": self.buffer.state(),
             "rng": self.rng.bit_generator.state,
@@ -283,8 +288,10 @@ class Training:
         Raises:
             ValueError: The checkpoint is of a run with other options.
         """
-        if state["options"] != asdict(self.options):
-            theirs, ours = state["options"], asdict(self.options)
+        theirs, ours = dict(state["options"]), self.options.document()
+        if "meaning" in theirs:  # release 0.1
+            theirs["kind"] = str(AgentKind.of_stored(theirs.pop("meaning")))
+        if theirs != ours:
             changed = sorted(name for name in ours if ours[name] != theirs.get(name))
             raise ValueError(f"the checkpoint is of a run with other options ({', '.join(changed)})")
         self.td3.restore(state["td3"])
@@ -308,8 +315,8 @@ class Training:
 
     def _random(self, observed: Float[ndarray, "n o"]) -> Float[ndarray, "n a"]:
         """Random actions around a corrected Gauss-Newton step, or around that step itself as an increment."""
-        if self.options.meaning == "steering":
-            return np.clip(CENTRES["steering"] + self.rng.normal(0, 0.3, (len(observed), 6)), -1, 1)
+        if self.options.kind == AgentKind.DRL:
+            return np.clip(CENTRES[AgentKind.DRL] + self.rng.normal(0, 0.3, (len(observed), 6)), -1, 1)
         return np.clip(observed[:, -6:] / INCREMENT_REACH + self.rng.normal(0, 0.1, (len(observed), 6)), -1, 1)
 
     def _store(self, t: Transitions) -> None:
@@ -326,25 +333,25 @@ class Training:
                 self.trace.append((self.td3.n_updates, recent, self.td3.target_lag()))
 
 
-def policy_of(meaning: ActionMeaning, weights: Mapping[str, Tensor], card: dict[str, Any]) -> Policy:
+def policy_of(kind: AgentKind, weights: Mapping[str, Tensor], card: dict[str, Any]) -> Policy:
     """An actor's weights as a policy, in single precision."""
     arrays = {name: value.detach().numpy().astype(np.float32).astype(float) for name, value in weights.items()}
     names = sorted({name.split(".")[1] for name in arrays if name.startswith("body.")}, key=int)
     layers = tuple((arrays[f"body.{i}.weight"], arrays[f"body.{i}.bias"]) for i in names)
-    return Policy(meaning, arrays["mean"], arrays["spread"], layers, card)
+    return Policy(kind, arrays["mean"], arrays["spread"], layers, card)
 
 
-def simulated_pools(options: TrainingOptions) -> tuple[list[tuple[Cases, float]], list[tuple[Cases, float]]]:
+def simulated_pools(options: TrainingOptions) -> tuple[list[tuple[RigBatch, float]], list[tuple[RigBatch, float]]]:
     """Training and validation rigs of :data:`TRAINING_SETS`; the options' seed draws both."""
     pools, validation = [], []
     for index, (distribution, tolerance) in enumerate(TRAINING_SETS):
         rng = np.random.default_rng([options.seed, 2, index])
-        pools.append((sample_cases(distribution, options.rigs_per_pool, rng), tolerance))
-        validation.append((sample_cases(distribution, VALIDATION_RIGS, rng), tolerance))
+        pools.append((sample_rigs(distribution, options.rigs_per_pool, rng), tolerance))
+        validation.append((sample_rigs(distribution, VALIDATION_RIGS, rng), tolerance))
     return pools, validation
 
 
-def run(
+def run_training(
     training: Training,
     *,
     on_check: Callable[[Training, Check], None],
