@@ -39,18 +39,6 @@ class PairDetections:
 
 
 @dataclass(frozen=True)
-class ViewSelection:
-    views: np.ndarray
-    n_views: int
-    depth_sigma: float
-    all_depth_sigma: float
-    misfits: tuple[str, ...] = ()
-
-    def sentence(self) -> str:
-        return f"{len(self.views)} of {self.n_views} views were chosen"
-
-
-@dataclass(frozen=True)
 class RenderOptions:
     blur_px: float
     noise_dn: float
@@ -73,11 +61,10 @@ class Rooms:
         self.calls: dict[str, Any] = {}
         rooms = {
             "binocal.calibrators": {
-                "calibrate": self._call_calibrate,
+                "calibrate_as_requested": self._call_calibrate,
                 "CALIBRATORS": {"drl": lambda: self.calibrate},
                 "load_calibrator": load_calibrator,
             },
-            "binocal.calibrators.view_selection": {"select_views": self._select_views},
             "binocal.datasets": {},
             "binocal.datasets.folder": {"list_pairs": self._list_pairs},
             "binocal.detection": {"detect_pairs": self._detect_pairs},
@@ -111,15 +98,13 @@ class Rooms:
             {"left": "0" * 64, "right": "1" * 64},
         )
 
-    def _select_views(self, detections, most, **options):
-        self.calls["select_views"] = (detections.n_views, most, options["model"])
-        return ViewSelection(np.arange(0, 2 * most, 2), detections.n_views, 0.002, 0.001)
+    def _call_calibrate(self, detections, request, *, calibrator, inputs):
+        self.calls["calibrate"] = request
+        self.calls["calibrator"] = calibrator
+        calibration = self.calibrate(detections, request)
+        return replace(calibration, provenance={**calibration.provenance, "seed": request.seed, **inputs})
 
-    def _call_calibrate(self, detections, **options):
-        self.calls["calibrate"] = options
-        return self.calibrate(detections, **options)
-
-    def _calibrate(self, detections, *, calibrator, model, skew, seed, progress) -> StereoCalibration:
+    def _calibrate(self, detections, request) -> StereoCalibration:
         names = tuple(f"{side}.{name}" for side in ("left", "right") for name in ("fx", "fy", "cx", "cy", "k1"))
         names += tuple(f"{block}.{axis}" for block in ("rotation", "translation") for axis in "xyz")
         sigma = np.r_[np.full(10, 0.05), np.full(3, 1e-5), np.full(3, 2e-6)]
@@ -139,9 +124,7 @@ class Rooms:
         self, rig, object_points_m, T_left_board, noise_px, *, left_is_seen=None, right_is_seen=None, skew=False
     ):
         self.calls["bound"] = {"n_views": len(T_left_board.t), "noise_px": noise_px, "n_seen": int(left_is_seen.sum())}
-        return replace(
-            self._calibrate(self.detections, calibrator="", model="", skew=skew, seed=0, progress=None)
-        ).covariance
+        return self._calibrate(self.detections, None).covariance
 
     def _render_image(self, camera, T_camera_board, board, options, rng):
         noise = rng.integers(0, 255, camera.size_wh[::-1], dtype=np.uint8)

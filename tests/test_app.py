@@ -29,24 +29,21 @@ def truth(rooms):
 
 def test_a_calibration_says_what_became_of_every_file(rooms):
     seen = []
-    options = app.CalibrateOptions(model="brown4", preprocess=True, seed=7)
-    run = app.calibrate_images("l", "r", BOARD, options, progress=lambda *step: seen.append(step))
+    request = app.CalibrationRequest("brown4", seed=7, progress=lambda *step: seen.append(step))
+    run = app.calibrate_images("l", "r", BOARD, request, preprocess=True)
     assert rooms.calls["list_pairs"] == ("l", "r") and rooms.calls["preprocess"] is True
-    assert rooms.calls["calibrate"]["model"] == "brown4" and rooms.calls["calibrate"]["seed"] == 7
+    assert rooms.calls["calibrate"] is request and rooms.calls["calibrator"] == "drl"
     assert run.calibration.rejected == rooms.rejected and run.ignored == (("left99 copy.png", "a copy of left99.png"),)
     provenance = run.calibration.provenance
     assert provenance["iterations"] == 5 and provenance["seed"] == 7 and provenance["board"] == "chessboard:11x8:10mm"
     assert len(provenance["input_sha256"]["left"]) == 64 and seen == [("finding corners", 6, 6)]
 
 
-def test_the_most_telling_views_are_used_and_the_cost_is_said(rooms):
-    run = app.calibrate_images("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=3))
-    assert rooms.calls["select_views"] == (6, 3, "brown4")
-    assert [view.name for view in run.calibration.views] == list(rooms.detections.names[:6:2])
-    assert run.notes[-1] == "3 of 6 views were chosen."
-    assert run.calibration.provenance["view_choice"]["depth_sigma"] == 0.002
-    every = app.calibrate_images("l", "r", BOARD, app.CalibrateOptions(model="brown4", max_views=6))
-    assert len(every.calibration.views) == 6 and "view_choice" not in every.calibration.provenance
+def test_what_a_choice_of_views_costs_is_noted(rooms):
+    choose = rooms.calibrate
+    rooms.calibrate = lambda *given: replace(choose(*given), provenance={"view_choice": {"reason": "3 of 6 views"}})
+    run = app.calibrate_images("l", "r", BOARD, app.CalibrationRequest("brown4", max_views=3))
+    assert run.notes[-1] == "3 of 6 views."
 
 
 def test_an_error_carries_what_was_dropped_before_it(rooms):

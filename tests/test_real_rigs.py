@@ -31,7 +31,7 @@ def run_set(data_dir, name, model="auto"):
     left, right, spec, *_ = SETS[name]
     folder = data_dir / name
     return app.calibrate_images(
-        str(folder / left), str(folder / right), parse_board(spec), app.CalibrateOptions(model=model)
+        str(folder / left), str(folder / right), parse_board(spec), app.CalibrationRequest(model)
     ).calibration
 
 

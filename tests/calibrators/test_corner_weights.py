@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.calibrators import calibrate
+from binocal.calibrators import CalibrationRequest, calibrate
 from binocal.calibrators.view_selection import select_views
 from binocal.geometry import so3
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
@@ -120,6 +120,6 @@ def test_a_reversed_view_is_repaired_with_its_covariances():
 
 def test_the_most_informative_views_are_the_sharp_ones():
     _, detections = mixed_detections(table2_rig(), np.random.default_rng(6), 40)
-    chosen = select_views(detections, 12, model="brown4")
+    chosen = select_views(detections, CalibrationRequest("brown4", max_views=12))
     assert np.all(chosen.views % 2 == 0)  # every other view is blurred
     assert chosen.depth_sigma < 1.3 * chosen.all_depth_sigma

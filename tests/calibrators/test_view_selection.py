@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.calibrators import calibrate
+from binocal.calibrators import CalibrationRequest, calibrate
 from binocal.calibrators.view_selection import choose_greedily, depth_target, select_views
 from binocal.errors import TooFewViewsError
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
@@ -32,11 +32,11 @@ def depth_sigma(calibration, rig):
 
 def test_chosen_views_determine_depth_better_than_the_first_ones():
     rig, detections = recording(150)
-    selection = select_views(detections, 15)
+    selection = select_views(detections, CalibrationRequest("brown4", max_views=15))
     assert len(selection.views) == 15 and (np.diff(selection.views) > 0).all()
-    chosen = depth_sigma(calibrate(detections.select(selection.views)), rig)
-    first = depth_sigma(calibrate(detections.select(np.arange(15))), rig)
-    everything = depth_sigma(calibrate(detections), rig)
+    chosen = depth_sigma(calibrate(detections.select(selection.views), model="brown4"), rig)
+    first = depth_sigma(calibrate(detections.select(np.arange(15)), model="brown4"), rig)
+    everything = depth_sigma(calibrate(detections, model="brown4"), rig)
     assert everything < chosen < 0.85 * first  # measured .63
     ratio = selection.depth_sigma / selection.all_depth_sigma
     assert ratio == pytest.approx(chosen / everything, rel=0.25)
@@ -45,7 +45,7 @@ def test_chosen_views_determine_depth_better_than_the_first_ones():
 
 def test_all_views_cost_nothing():
     _, detections = recording(12)
-    selection = select_views(detections, 50)
+    selection = select_views(detections, CalibrationRequest("brown4", max_views=50))
     assert (selection.views == np.arange(12)).all()
     assert selection.depth_sigma == pytest.approx(selection.all_depth_sigma)
 
@@ -53,7 +53,7 @@ def test_all_views_cost_nothing():
 def test_contradicting_and_empty_views_are_passed_over():
     _, detections = recording(60)
     spoiled = drop_view(mismatch_pair(flip_view(detections, 7), 20, 50), 33, side="left")
-    selection = select_views(spoiled, 40)
+    selection = select_views(spoiled, CalibrationRequest("brown4", max_views=40))
     assert not set(selection.views) & {33} and "20" in selection.misfits
     assert "passed over" in selection.sentence()
 
@@ -68,9 +68,9 @@ def test_greedy_choice_takes_what_is_missing():
 def test_too_few_views():
     _, detections = recording(6)
     with pytest.raises(ValueError, match="at least 3"):
-        select_views(detections, 2)
+        CalibrationRequest(max_views=2)
     blind = detections
     for view in range(4):
         blind = drop_view(blind, view, side="right")
     with pytest.raises(TooFewViewsError):
-        select_views(blind, 4)
+        select_views(blind, CalibrationRequest(max_views=4))

@@ -52,8 +52,8 @@ def test_json_is_exactly_one_document(rooms, capsys):
 
 def test_options_reach_the_calibrator(rooms, capsys):
     assert main([*CALIBRATE, "--model", "brown5", "--skew", "--seed", "3", "--preprocess"]) == 0
-    options = rooms.calls["calibrate"]
-    assert (options["model"], options["skew"], options["seed"], options["calibrator"]) == ("brown5", True, 3, "drl")
+    request = rooms.calls["calibrate"]
+    assert (request.model, request.skew, request.seed) == ("brown5", True, 3) and rooms.calls["calibrator"] == "drl"
     assert rooms.calls["preprocess"] is True
 
 
@@ -87,6 +87,7 @@ def test_opencv_beside(rooms, capsys):
         (errors.FormatError("left01.png", "truncated"), 3, "format"),
         (errors.NotConvergedError("the solver stopped at\na saddle."), 1, "not-converged"),
         (errors.MissingExtraError("training", "train"), 1, "missing-extra"),
+        (errors.CancelledError("stopped as asked."), 130, "cancelled"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )

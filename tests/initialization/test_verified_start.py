@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.calibrators import CalibrationOptions, calibrate, joint
+from binocal.calibrators import CalibrationRequest, calibrate, joint
 from binocal.geometry import so3
 from binocal.initialization.verified_start import estimate_verified_start
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
@@ -70,8 +70,5 @@ def test_a_doubtful_set_goes_the_long_way(what):
         right[4] = right[4, :1] + np.linspace(0, 1, 88)[:, None] * [300.0, 100.0]
     else:
         right[[4, 5]] = right[[5, 4]]
-    assert (
-        joint._calibrate_clean(replace(detections, right_px=right), CalibrationOptions("brown5"), "lm", minimize)
-        is None
-    )
-    assert joint._calibrate_clean(detections, CalibrationOptions("brown5"), "lm", minimize) is not None
+    assert joint._calibrate_clean(replace(detections, right_px=right), CalibrationRequest("brown5"), minimize) is None
+    assert joint._calibrate_clean(detections, CalibrationRequest("brown5"), minimize) is not None

@@ -24,7 +24,7 @@ def calibration():
     rng, rig = np.random.default_rng(4), table2_rig()
     scene = StereoScene(rig, BOARD, sample_board_poses(rig, BOARD, 12, rng))
     detections = simulate_detections(scene, rng, noise_px=0.2, outlier_share=0.03, outlier_px=20.0)
-    return binocal.calibrate(detections, calibrator="lm")
+    return binocal.calibrate(detections, calibrator="lm", model="brown4")
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_without_truth_plain_steps_arrive_where_they_arrive_with_it(real):
 
 
 def test_too_few_views_are_refused_and_networks_grow_with_them(calibration):
-    few = binocal.calibrate(calibration.evidence.detections.select(np.arange(5)), calibrator="lm")
+    few = binocal.calibrate(calibration.evidence.detections.select(np.arange(5)), calibrator="lm", model="brown4")
     with pytest.raises(TooFewViewsError):
         rigs_from_calibration(few, 4, np.random.default_rng(0))
     assert [network_widths(n) for n in (12, 13, 49)] == [(16,), (32, 32), (64, 64)]

@@ -7,7 +7,6 @@ Each verb takes plain values, returns one, and neither prints nor reads the envi
 from __future__ import annotations
 
 from binocal.app.road import (
-    CalibrateOptions,
     CalibrationRun,
     DemoCase,
     ImageEvaluation,
@@ -24,9 +23,10 @@ from binocal.app.road import (
     staged_folder,
 )
 from binocal.app.training import TrainedAgent, TrainOptions, board_of_folder, train
+from binocal.calibrators.base import CalibrationRequest
 
 __all__ = [
-    "CalibrateOptions",
+    "CalibrationRequest",
     "CalibrationRun",
     "DemoCase",
     "ImageEvaluation",

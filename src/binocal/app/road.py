@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import platform
 import shutil
 import tempfile
 import time
@@ -17,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from binocal import __version__
 from binocal.boards import Board
+from binocal.calibrators.base import CalibrationRequest
 from binocal.cameras import StereoRig
 from binocal.errors import BinocalError, CalibrationError, DataError, OutputExistsError
 from binocal.evidence import Detections
@@ -38,21 +37,6 @@ DEMO_SQUARES_M = (0.010, 0.020)  # the two boards of PAPER table 3
 EXACT_VIEWS = 20
 HELD_OUT_STREAM = 999  # far from the streams that the rendered views are drawn from
 SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrateOptions:
-    """How to calibrate: method, camera model (``auto`` picks), skew, edge-strengthening of the images, seed.
-
-    With ``max_views`` only the views that tell most about depth are used, at most so many.
-    """
-
-    calibrator: str = "drl"
-    model: str = "auto"
-    skew: bool = False
-    preprocess: bool = False
-    seed: int = 0
-    max_views: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,72 +100,38 @@ def calibrate_images(
     left: str,
     right: str,
     board: Board,
-    options: CalibrateOptions | None = None,
+    request: CalibrationRequest | None = None,
     *,
-    progress: Progress | None = None,
-    should_stop: ShouldStop | None = None,
+    calibrator: str = "drl",
+    preprocess: bool = False,
 ) -> CalibrationRun:
-    """Calibrate from the images that two globs or folders name.
+    """Calibrate from the images that two globs or folders name; ``preprocess`` strengthens their edges first.
 
     Raises:
         DataError: The images cannot be used.
         CalibrationError: No trustworthy rig follows from them.
+        CancelledError: ``request.should_stop`` returned True.
     """
-    options = options or CalibrateOptions()
+    request = request or CalibrationRequest()
     started = time.perf_counter()
     with ThreadPoolExecutor(1) as aside:
         # What the solver needs is loaded while the first images are, of which one core is enough.
-        loading = aside.submit(_load_calibrator, options.calibrator)
-        found = _detect(left, right, board, options.preprocess, progress, should_stop)
+        loading = aside.submit(_load_calibrator, calibrator)
+        found = _detect(left, right, board, preprocess, request.progress, request.should_stop)
         calibrate = loading.result()
     detected = time.perf_counter()
-    notes, detections, choice = found.notes, found.detections, {}
-    with _explained(found.ignored, found.rejected):
-        if options.max_views is not None and detections.n_views > options.max_views:
-            from binocal.calibrators.view_selection import select_views
-
-            selection = select_views(
-                detections,
-                options.max_views,
-                calibrator=options.calibrator,
-                model=options.model,
-                skew=options.skew,
-                seed=options.seed,
-            )
-            notes = (*notes, selection.sentence() + ".")
-            detections = detections.select(selection.views)
-            choice = {
-                "view_choice": {
-                    "max_views": options.max_views,
-                    "n_views": selection.n_views,
-                    "depth_sigma": selection.depth_sigma,
-                    "all_depth_sigma": selection.all_depth_sigma,
-                    "misfits": list(selection.misfits),
-                }
-            }
-        calibration = calibrate(
-            detections,
-            calibrator=options.calibrator,
-            model=options.model,
-            skew=options.skew,
-            seed=options.seed,
-            progress=progress,
-        )
-    solved = time.perf_counter()
-    provenance = {
-        "binocal": __version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
+    inputs = {
         "opencv": _opencv_version(),
-        "platform": platform.platform(),
         "board": rig_json.format_board(board),
-        "calibrator": options.calibrator,
-        "seed": options.seed,
-        "options": {"model": options.model, "skew": options.skew, "preprocess": options.preprocess},
+        "preprocess": preprocess,
         "input_sha256": dict(found.input_sha256),
-        **choice,
-    } | dict(calibration.provenance)
-    calibration = replace(calibration, rejected=found.rejected + calibration.rejected, provenance=provenance)
+    }
+    with _explained(found.ignored, found.rejected):
+        calibration = calibrate(found.detections, request, calibrator=calibrator, inputs=inputs)
+    solved = time.perf_counter()
+    calibration = replace(calibration, rejected=found.rejected + calibration.rejected)
+    choice = calibration.provenance.get("view_choice")
+    notes = (*found.notes, f"{choice['reason']}.") if choice else found.notes
     elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
     return CalibrationRun(calibration, found.ignored, notes, elapsed_s)
 
@@ -310,7 +260,8 @@ def demo(
             table2_rig(), board, n_pairs, folder, SimulateOptions(seed=2 * seed + number), force=force, progress=told
         )
         left, right = str(folder / "left_*.png"), str(folder / "right_*.png")
-        run = calibrate_images(left, right, board, CalibrateOptions(model="brown4", seed=seed), progress=told)
+        request = CalibrationRequest("brown4", seed=seed, progress=told)
+        run = calibrate_images(left, right, board, request)
         rig_json.write_calibration(folder / "rig.json", run.calibration, force=force)
         cases.append(DemoCase(name, folder, run, evaluate_truth(run.calibration, truth, seed=seed)))
     return tuple(cases)
@@ -359,11 +310,11 @@ def staged_folder(output: str | Path, *, force: bool = False) -> Iterator[Path]:
 
 def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:
     """The calibrating function, with the method's own modules in memory."""
-    from binocal.calibrators import CALIBRATORS, calibrate
+    from binocal.calibrators import CALIBRATORS, calibrate_as_requested
 
     if name in CALIBRATORS:
         CALIBRATORS[name]()
-    return calibrate
+    return calibrate_as_requested
 
 
 @dataclass(frozen=True, slots=True, eq=False)

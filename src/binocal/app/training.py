@@ -113,11 +113,12 @@ def train(
     )
     calibration = None
     if test is not None:
-        from binocal.calibrators import CalibrationOptions
+        from binocal.calibrators import CalibrationRequest
         from binocal.calibrators.learned import calibrate_with_policy
+        from binocal.calibrators.provenance import with_provenance
 
-        solving = CalibrationOptions(MODEL_OF_REAL_RIGS, seed=options.seed)
-        calibration = calibrate_with_policy(test, solving, run.policy, name=options.agent)
+        request = CalibrationRequest(MODEL_OF_REAL_RIGS, seed=options.seed)
+        calibration = with_provenance(calibrate_with_policy(test, request, run.policy), options.agent, request, {})
     return TrainedAgent(run, calibration, _draw(run, others))
 
 

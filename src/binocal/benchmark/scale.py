@@ -20,7 +20,7 @@ from binocal.benchmark.opencv_peer import run_opencv
 from binocal.benchmark.scenes import render_pairs
 from binocal.benchmark.solver import scene
 from binocal.boards import parse_board
-from binocal.calibrators import calibrate
+from binocal.calibrators import CalibrationRequest, calibrate
 from binocal.calibrators.view_selection import select_views
 from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
@@ -74,7 +74,7 @@ def _find_corners(pairs: list[ImagePair]) -> dict[str, Any]:
 def _choose_and_solve(n_pairs: int, seed: int) -> dict[str, Any]:
     simulated, detections = scene(n_pairs, seed)
     start = time.perf_counter()
-    selection = select_views(detections, MAX_VIEWS, model="brown5")
+    selection = select_views(detections, CalibrationRequest("brown5", max_views=MAX_VIEWS))
     chosen = time.perf_counter()
     T = calibrate(detections.select(selection.views), calibrator="lm", model="brown5").rig.T_right_left
     truth = simulated.rig.T_right_left

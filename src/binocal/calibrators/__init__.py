@@ -2,39 +2,100 @@
 
 from __future__ import annotations
 
-from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions, Calibrator, ProgressCallback
+from collections.abc import Mapping
+from typing import Any
+
+from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest, Calibrator, ProgressCallback, ShouldStop
 from binocal.calibrators.registry import CALIBRATORS, load_calibrator
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 
-__all__ = ["CALIBRATORS", "MIN_VIEWS", "CalibrationOptions", "Calibrator", "calibrate", "load_calibrator"]
+__all__ = [
+    "CALIBRATORS",
+    "MIN_VIEWS",
+    "CalibrationRequest",
+    "Calibrator",
+    "calibrate",
+    "calibrate_as_requested",
+    "load_calibrator",
+]
 
 
 def calibrate(
-    detections: Detections,
+    evidence: Detections,
     *,
     calibrator: str = "drl",
-    model: str = "brown4",
+    model: str = "auto",
     skew: bool = False,
     seed: int = 0,
+    max_views: int | None = None,
+    options: Mapping[str, Any] | None = None,
     progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
 ) -> StereoCalibration:
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
     ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the one with the least error on held-out
-    views (the simplest that is not clearly worse). Skew is 0 unless ``skew``. Same input and seed, same result.
+    views (the simplest that is not clearly worse). Skew is 0 unless ``skew``. With ``max_views`` only the views that tell
+    most about depth are used, at most so many; ``provenance["view_choice"]`` says what that costs. ``options`` are the
+    calibrator's own. ``progress(what, done, total)`` is called and ``should_stop()`` asked as the work goes on.
+    Same input and seed, same result.
 
     Raises:
         ValueError: An option is unknown.
         DataError: The corners cannot be used.
         CalibrationError: No trustworthy rig follows from them; the text names the culprit.
+        CancelledError: ``should_stop`` returned True.
+    """
+    request = CalibrationRequest(model, skew, seed, max_views, options or {}, progress, should_stop)
+    return calibrate_as_requested(evidence, request, calibrator=calibrator)
+
+
+def calibrate_as_requested(
+    evidence: Detections,
+    request: CalibrationRequest,
+    *,
+    calibrator: str = "drl",
+    inputs: Mapping[str, Any] | None = None,
+) -> StereoCalibration:
+    """:func:`calibrate` with all choices in one value.
+
+    ``inputs`` says where the evidence comes from (hashes of images, versions); it goes to the provenance. Raises as
+    :func:`calibrate`.
     """
     method = load_calibrator(calibrator)
-    if model == "auto":
+    _check_model(request.model)
+    from binocal.calibrators.provenance import with_provenance
+
+    view_choice: dict[str, Any] = {}
+    used = evidence
+    if request.max_views is not None and evidence.n_views > request.max_views:
+        from binocal.calibrators.view_selection import select_views
+
+        selection = select_views(evidence, request, calibrator=calibrator)
+        used = evidence.select(selection.views)
+        view_choice = {"view_choice": selection.document(request.max_views)}
+    calibration = calibrate_named_or_best_model(used, method, request)
+    return with_provenance(calibration, calibrator, request, dict(inputs or {}) | view_choice)
+
+
+def calibrate_named_or_best_model(
+    evidence: Detections, method: Calibrator, request: CalibrationRequest
+) -> StereoCalibration:
+    """What the method makes of all of the evidence, with the model asked for or the best one."""
+    if request.model == "auto":
         from binocal.calibrators.model_selection import calibrate_with_best_model
 
-        return calibrate_with_best_model(detections, method, CalibrationOptions("auto", skew, seed), progress)
-    from binocal.cameras import camera_model
+        return calibrate_with_best_model(evidence, method, request)
+    request.report("joint solve", 0, 1)
+    calibration = method(evidence, request)
+    request.report("joint solve", 1, 1)
+    return calibration
 
-    camera_model(model)
-    return method(detections, CalibrationOptions(model, skew, seed))
+
+def _check_model(name: str) -> None:
+    """Raises ValueError: no such camera model."""
+    if name != "auto":
+        from binocal.cameras import camera_model
+
+        camera_model(name)

@@ -1,11 +1,12 @@
-"""What every calibrator is: a function from detections and options to a calibration."""
+"""What every calibrator is: a function from evidence and a request to a calibration."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
+from binocal.errors import CancelledError
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 
@@ -14,23 +15,75 @@ MIN_VIEWS = 3  # two views determine four intrinsics and leave nothing to check 
 ProgressCallback = Callable[[str, int, int], None]
 """Called with (what, done, total)."""
 
+ShouldStop = Callable[[], bool]
+"""Asked between the parts of a calibration; True ends it with :class:`binocal.errors.CancelledError`."""
 
-@dataclass(frozen=True, slots=True)
-class CalibrationOptions:
-    """What the user may choose. ``model`` is a camera model's name; ``seed`` feeds every random choice."""
 
-    model: str = "brown4"
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationRequest:
+    """What the user may choose.
+
+    ``model`` is a camera model's name, or ``auto``: the one with the least error on held-out views; a calibrator itself is
+    only ever asked for a named one. ``seed`` feeds every random choice. With ``max_views`` only the views that tell most
+    about depth are used, at most so many. ``options`` are the method's own; one that it does not know is an error.
+    """
+
+    model: str = "auto"
     skew: bool = False
     seed: int = 0
+    max_views: int | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    progress: ProgressCallback | None = None
+    should_stop: ShouldStop | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_views is not None and self.max_views < MIN_VIEWS:
+            raise ValueError(f"max_views is {self.max_views}; a calibration needs at least {MIN_VIEWS} views")
+        object.__setattr__(self, "options", dict(self.options))
+
+    def report(self, what: str, done: int, total: int) -> None:
+        """Say how far the work is, and ask whether to go on.
+
+        Raises:
+            CancelledError: ``should_stop`` returned True.
+        """
+        if self.progress is not None:
+            self.progress(what, done, total)
+        self.check_stop()
+
+    def check_stop(self) -> None:
+        """Ask whether to go on.
+
+        Raises:
+            CancelledError: ``should_stop`` returned True.
+        """
+        if self.should_stop is not None and self.should_stop():
+            raise CancelledError("the calibration was stopped as asked; nothing was written.")
+
+    def check_options(self, *known: str) -> None:
+        """See that the method knows all of its options.
+
+        Raises:
+            ValueError: It does not; the text names the unknown one and those that are known.
+        """
+        for name in self.options:
+            if name not in known:
+                raise ValueError(f"the calibrator has no option {name!r}; it has {', '.join(known) or 'none'}")
 
 
 class Calibrator(Protocol):
     """A method that calibrates a stereo rig.
 
+    Deterministic: the same evidence and request give the same calibration. It asks ``request.check_stop()`` between its parts,
+    and its provenance holds what it alone knows; who asked for what is added by :func:`binocal.calibrate`.
+
     Raises:
-        CalibrationError: No trustworthy rig follows from the detections.
+        TypeError: It cannot work from this kind of evidence.
+        ValueError: An option is unknown.
+        CalibrationError: No trustworthy rig follows from the evidence.
+        CancelledError: ``request.should_stop`` said so.
     """
 
-    def __call__(self, detections: Detections, options: CalibrationOptions) -> StereoCalibration:
-        """The calibration that these detections determine."""
+    def __call__(self, evidence: Detections, request: CalibrationRequest) -> StereoCalibration:
+        """The calibration that this evidence determines."""
         ...

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.calibrators import trust
-from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions
+from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
@@ -61,16 +61,21 @@ class Minimizer(Protocol):
 
 
 def calibrate_jointly(
-    detections: Detections, options: CalibrationOptions, *, name: str, minimizer: Minimizer = minimize
+    detections: Detections, request: CalibrationRequest, *, minimizer: Minimizer = minimize
 ) -> StereoCalibration:
     """Joint maximum-likelihood calibration from a closed-form start (see :class:`binocal.calibrators.base.Calibrator`).
 
-    ``name`` is the calibrator's, for the provenance. Deterministic: ``options.seed`` is not used.
+    Deterministic: ``request.seed`` is not used.
     """
-    clean = _calibrate_clean(detections, options, name, minimizer)
+    if not isinstance(detections, Detections):
+        raise TypeError(f"the joint solve works from Detections of a board; got {type(detections).__name__}")
+    request.check_options()
+    minimizer = _stoppable(minimizer, request)
+    clean = _calibrate_clean(detections, request, minimizer)
     if clean is not None:
         return clean
-    diagnosis = diagnose_views(detections, options.model, has_skew=options.skew)
+    request.check_stop()
+    diagnosis = diagnose_views(detections, request.model, has_skew=request.skew)
     rejected = diagnosis.rejected
     used = np.nonzero(diagnosis.is_used)[0]
     n_iterations = 0
@@ -80,7 +85,7 @@ def calibrate_jointly(
             raise TooFewViewsError(len(used), MIN_VIEWS, {r.name: r.reason for r in rejected})
         views = diagnosis.detections.select(used)
         start = _start(diagnosis, used) if start is None else start
-        problem, minimum, misfit_px, n = solve_with_misfit(views, options, start, partial(_solve, minimizer))
+        problem, minimum, misfit_px, n = solve_with_misfit(views, request, start, partial(_solve, minimizer))
         n_iterations += n
         bad = _misfits(views, problem, minimum) if minimum.is_converged else {}
         if not bad:
@@ -94,8 +99,7 @@ def calibrate_jointly(
         views,
         problem,
         minimum,
-        options,
-        calibrator=name,
+        request,
         rejected=rejected,
         notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
         warnings=diagnosis.warnings,
@@ -105,8 +109,20 @@ def calibrate_jointly(
     return trust.judged(calibration, is_converged=bool(minimum.is_converged))
 
 
+def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
+    """The minimiser, which asks whether to go on before each solve."""
+    if request.should_stop is None:
+        return minimizer
+
+    def minimize_unless_stopped(*args: Any, **kwargs: Any) -> Minimum:
+        request.check_stop()
+        return minimizer(*args, **kwargs)
+
+    return minimize_unless_stopped
+
+
 def _calibrate_clean(
-    detections: Detections, options: CalibrationOptions, name: str, minimizer: Minimizer
+    detections: Detections, request: CalibrationRequest, minimizer: Minimizer
 ) -> StereoCalibration | None:
     """The calibration of views in which nothing is wrong, or None where that is not proven.
 
@@ -116,14 +132,14 @@ def _calibrate_clean(
     """
     if detections.n_views < MIN_VIEWS:
         return None
-    start = estimate_verified_start(detections, options.model)
+    start = estimate_verified_start(detections, request.model)
     if start is None:
         return None
     estimate = BundleEstimate(
         start.parameters, start.R_left_board, start.t_left_board, start.R_right_left, start.t_right_left
     )
     problem, minimum, misfit_px, n_iterations = solve_with_misfit(
-        detections, options, estimate, partial(_solve_clean, minimizer)
+        detections, request, estimate, partial(_solve_clean, minimizer)
     )
     if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
         return None
@@ -132,8 +148,7 @@ def _calibrate_clean(
             detections,
             problem,
             polish_exact(problem, minimum),
-            options,
-            calibrator=name,
+            request,
             rejected=(),
             notes={},
             warnings=(),
@@ -197,7 +212,7 @@ def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
 
 def solve_with_misfit(
     views: Detections,
-    options: CalibrationOptions,
+    request: CalibrationRequest,
     start: BundleEstimate,
     solve: Callable[..., tuple[Minimum, int]],
 ) -> tuple[BundleProblem, Minimum, float, int]:
@@ -207,7 +222,7 @@ def solve_with_misfit(
     corners for outliers. What the residuals exceed the covariances by is the misfit; with it the solve goes on from its
     own end, until the misfit stands. ``solve`` takes problem, start, and the damping to begin with.
     """
-    plain = problem = joint_problem(views, options)
+    plain = problem = joint_problem(views, request)
     minimum, n_iterations = solve(problem, start)
     misfit_px = 0.0
     for attempt in range(MISFIT_ROUNDS if views.has_covariances else 0):
@@ -217,7 +232,7 @@ def solve_with_misfit(
         if attempt and abs(found_px**2 - misfit_px**2) < MISFIT_SHARE * float(minimum.scale_px) ** 2:
             break
         misfit_px = found_px
-        problem = joint_problem(views, options, corner_weights(views, misfit_px))
+        problem = joint_problem(views, request, corner_weights(views, misfit_px))
         minimum, n = solve(problem, minimum.estimate, damping=RESUMED_DAMPING)
         n_iterations += n
     return problem, minimum, misfit_px, n_iterations

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from binocal.calibrators.base import CalibrationOptions, Calibrator
+from binocal.calibrators.base import CalibrationRequest, Calibrator
 from binocal.calibrators.joint import calibrate_jointly
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from numpy import ndarray
 
 
-def calibrate_drl(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
+def calibrate_drl(evidence: Detections, request: CalibrationRequest) -> StereoCalibration:
     """The shipped agent steers the solver (see :class:`binocal.calibrators.base.Calibrator`)."""
-    return calibrate_with_policy(detections, options, shipped_policy(AgentKind.DRL), name="drl")
+    return calibrate_with_policy(evidence, request, shipped_policy(AgentKind.DRL))
 
 
-def calibrate_drl_increments(detections: Detections, options: CalibrationOptions) -> StereoCalibration:
+def calibrate_drl_increments(evidence: Detections, request: CalibrationRequest) -> StereoCalibration:
     """The shipped agent changes R, T itself, as in the paper; all other unknowns take their own steps beside."""
-    return calibrate_with_policy(detections, options, shipped_policy(AgentKind.DRL_INCREMENTS), name="drl-increments")
+    return calibrate_with_policy(evidence, request, shipped_policy(AgentKind.DRL_INCREMENTS))
 
 
 def calibrator_of_weights(path: str | Path) -> Calibrator:
@@ -42,15 +42,13 @@ def calibrator_of_weights(path: str | Path) -> Calibrator:
     Raises:
         FormatError: The file cannot be read, or fits another version.
     """
-    return partial(calibrate_with_policy, policy=load_policy(path), name=str(path))
+    return partial(calibrate_with_policy, policy=load_policy(path))
 
 
-def calibrate_with_policy(
-    detections: Detections, options: CalibrationOptions, policy: Policy, *, name: str
-) -> StereoCalibration:
+def calibrate_with_policy(evidence: Detections, request: CalibrationRequest, policy: Policy) -> StereoCalibration:
     """Calibration with any policy; the answer is that of ``lm`` whatever the policy's weights are."""
     minimizer = _SteeredMinimizer(policy)
-    calibration = calibrate_jointly(detections, options, name=name, minimizer=minimizer)
+    calibration = calibrate_jointly(evidence, request, minimizer=minimizer)
     return replace(calibration, provenance={**calibration.provenance, "agent": minimizer.report()})
 
 

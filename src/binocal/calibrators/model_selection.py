@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy import ndarray
 
-from binocal.calibrators.base import MIN_VIEWS, CalibrationOptions, Calibrator, ProgressCallback
+from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest, Calibrator
 from binocal.calibrators.summary import joint_problem, rig_of
 from binocal.cameras import CAMERA_MODELS, StereoRig
 from binocal.errors import CalibrationError, DataError, NotConvergedError
@@ -48,8 +48,7 @@ class ModelTrial:
 def calibrate_with_best_model(
     detections: Detections,
     method: Calibrator,
-    options: CalibrationOptions,
-    progress: ProgressCallback | None = None,
+    request: CalibrationRequest,
 ) -> StereoCalibration:
     """Calibrate with every camera model and keep the one that predicts held-out views best.
 
@@ -64,10 +63,9 @@ def calibrate_with_best_model(
     failures: dict[str, CalibrationError | DataError] = {}
     names = list(CAMERA_MODELS)
     for done, name in enumerate(names):
-        if progress:
-            progress("camera models", done, 2 * len(names))
+        request.report("camera models", done, 2 * len(names))
         try:
-            fits[name] = method(detections, replace(options, model=name))
+            fits[name] = method(detections, replace(request, model=name))
         except (CalibrationError, DataError) as error:
             failures[name] = error
     if not fits:
@@ -86,16 +84,14 @@ def calibrate_with_best_model(
     misfit_px = min(e.misfit_px for e in evidence.values())
     trials = []
     for done, name in enumerate(names):
-        if progress:
-            progress("camera models", len(names) + done, 2 * len(names))
+        request.report("camera models", len(names) + done, 2 * len(names))
         if name in evidence:
-            trials.append(_hold_out(good, replace(options, model=name), fits[name], noise_px, misfit_px))
+            trials.append(_hold_out(good, replace(request, model=name), fits[name], noise_px, misfit_px))
         else:
             trials.append(
                 ModelTrial(name, None, str(failures.get(name, "no corners to hold out")), np.full(len(good), np.nan))
             )
-    if progress:
-        progress("camera models", 2 * len(names), 2 * len(names))
+    request.report("camera models", 2 * len(names), 2 * len(names))
     chosen, reason = choose_model(trials)
     return _with_choice(chosen.calibration, chosen.model, reason, trials, warn=False)  # type: ignore[arg-type]
 
@@ -147,7 +143,7 @@ def _views_to_hold_out(evidence: Iterable[Evidence]) -> tuple[str, ...]:
 
 
 def _hold_out(
-    good: tuple[str, ...], options: CalibrationOptions, full: StereoCalibration, noise_px: float, misfit_px: float
+    good: tuple[str, ...], request: CalibrationRequest, full: StereoCalibration, noise_px: float, misfit_px: float
 ) -> ModelTrial:
     """Cross-validate one model: each fold is solved anew from the full fit, without the views it is then tested on.
 
@@ -161,6 +157,7 @@ def _hold_out(
     held_out = np.full(len(good), np.nan)
     folds = min(N_FOLDS, len(good) // 2)
     for fold in range(folds):
+        request.check_stop()
         is_test = np.arange(len(good)) % folds == fold
         if np.sum(~is_test) < MIN_VIEWS:
             continue
@@ -172,14 +169,14 @@ def _hold_out(
             full.rig.T_right_left.R,
             full.rig.T_right_left.t,
         )
-        problem = joint_problem(views, options, corner_weights(views, evidence.misfit_px))
+        problem = joint_problem(views, request, corner_weights(views, evidence.misfit_px))
         minimum = minimize(problem, start, FOLD_OPTIONS)
         if not minimum.is_converged:
             continue
-        rig = rig_of(minimum.estimate, views, options.model)
+        rig = rig_of(minimum.estimate, views, request.model)
         test = detections.select(is_test), T_left_board[is_test], weights.select(np.flatnonzero(is_test))
         held_out[is_test] = held_out_px2(rig, *test, noise_px)
-    return ModelTrial(options.model, full, "", held_out)
+    return ModelTrial(request.model, full, "", held_out)
 
 
 def held_out_px2(

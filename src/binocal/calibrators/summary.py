@@ -5,14 +5,12 @@ Shared by every calibrator that ends in the joint problem.
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping
 
 import numpy as np
 from numpy import ndarray
 
-from binocal import __version__
-from binocal.calibrators.base import CalibrationOptions
+from binocal.calibrators.base import CalibrationRequest
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.geometry import SE3
@@ -33,14 +31,14 @@ from binocal.solvers.whitening import CornerWeights
 
 
 def joint_problem(
-    views: Detections, options: CalibrationOptions, weights: CornerWeights | None = None
+    views: Detections, request: CalibrationRequest, weights: CornerWeights | None = None
 ) -> BundleProblem:
     """The joint problem of these views. All corners count alike without ``weights``."""
-    model, weights = camera_model(options.model), weights or CornerWeights()
+    model, weights = camera_model(request.model), weights or CornerWeights()
     return BundleProblem(
         np.ascontiguousarray(views.object_points_m.T),
         tuple(
-            CameraObservations.from_corners(model, px, skew=options.skew, whitening=whitening)
+            CameraObservations.from_corners(model, px, skew=request.skew, whitening=whitening)
             for px, whitening in ((views.left_px, weights.left), (views.right_px, weights.right))
         ),
     )
@@ -67,9 +65,8 @@ def summarize(
     detections: Detections,
     problem: BundleProblem,
     minimum: Minimum,
-    options: CalibrationOptions,
+    request: CalibrationRequest,
     *,
-    calibrator: str,
     rejected: tuple[RejectedView, ...],
     notes: Mapping[str, str],
     warnings: tuple[str, ...],
@@ -93,7 +90,7 @@ def summarize(
     left_px, right_px = _rms(sums.sum(axis=1), counts.sum(axis=1))
     all_px = _rms(sums.sum(), counts.sum())
     return StereoCalibration(
-        rig=rig_of(minimum.estimate, detections, options.model),
+        rig=rig_of(minimum.estimate, detections, request.model),
         covariance=Covariance(shared_names(problem), covariance),
         rms=ResidualSummary(float(left_px), float(right_px), float(all_px)),
         noise_px=noise_px,
@@ -101,16 +98,7 @@ def summarize(
         rejected=rejected,
         warnings=(*warnings, *_outlier_warning(views)),
         n_iterations=n_iterations,
-        provenance={
-            "binocal": __version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "calibrator": calibrator,
-            "model": options.model,
-            "skew": options.skew,
-            "seed": options.seed,
-            "corner_weights": {"covariances": problem.is_whitened, "misfit_px": misfit_px},
-        },
+        provenance={"corner_weights": {"covariances": problem.is_whitened, "misfit_px": misfit_px}},
         evidence=Evidence(detections, SE3(minimum.estimate.R_left_board, minimum.estimate.t_left_board), misfit_px),
     )
 

@@ -8,13 +8,16 @@ memory are linear in the views.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
-from binocal.calibrators import calibrate
-from binocal.calibrators.base import MIN_VIEWS
+from binocal.calibrators import calibrate_named_or_best_model
+from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
+from binocal.calibrators.registry import load_calibrator
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.errors import TooFewViewsError
 from binocal.evidence import Detections
@@ -66,44 +69,54 @@ class ViewSelection:
             text += f"; {len(self.misfits)} views that contradict the others were passed over: {named}"
         return text
 
+    def document(self, max_views: int) -> dict[str, Any]:
+        """What the provenance keeps of it."""
+        return {
+            "max_views": max_views,
+            "n_views": self.n_views,
+            "depth_sigma": self.depth_sigma,
+            "all_depth_sigma": self.all_depth_sigma,
+            "misfits": list(self.misfits),
+            "reason": self.sentence(),
+        }
 
-def select_views(
-    detections: Detections,
-    most: int,
-    *,
-    calibrator: str = "drl",
-    model: str = "brown4",
-    skew: bool = False,
-    seed: int = 0,
-) -> ViewSelection:
-    """The ``most`` views that together determine depth best.
+
+def select_views(detections: Detections, request: CalibrationRequest, *, calibrator: str = "drl") -> ViewSelection:
+    """The ``request.max_views`` views that together determine depth best.
 
     Raises:
-        ValueError: ``most`` is less than a calibration needs.
+        ValueError: ``request.max_views`` is None.
         CalibrationError: The views spread over the recording give no trustworthy rig.
+        CancelledError: ``request.should_stop`` said so.
     """
-    if most < MIN_VIEWS:
-        raise ValueError(f"a calibration needs at least {MIN_VIEWS} views; got {most}")
+    if request.max_views is None:
+        raise ValueError("max_views is None: say how many views to choose")
     everything = np.arange(detections.n_views)
     both = detections.left_is_seen.any(axis=1) & detections.right_is_seen.any(axis=1)
     candidates = everything[both]
     if len(candidates) < MIN_VIEWS:
         raise TooFewViewsError(len(candidates), MIN_VIEWS)
     spread = np.unique(np.linspace(0, len(candidates) - 1, PILOT_VIEWS).round().astype(int))
-    pilot = calibrate(detections.select(candidates[spread]), calibrator=calibrator, model=model, skew=skew, seed=seed)
+    method = load_calibrator(calibrator)
+    pilot = calibrate_named_or_best_model(detections.select(candidates[spread]), method, request)
     weights = corner_weights(detections, pilot.evidence.misfit_px)
-    information, prior, rms_px, distance_m = _informations(detections, weights, candidates, pilot.rig, skew)
+    information, prior, rms_px, distance_m = _informations(detections, weights, candidates, pilot.rig, request)
     is_good = rms_px < MISFIT_FACTOR * np.median(rms_px[np.isfinite(rms_px)])
     misfits = tuple(detections.names[i] for i in candidates[~is_good])
     candidates, information = candidates[is_good], information[is_good] / _noise_px(pilot, weights) ** 2
-    target = depth_target(pilot.rig, float(np.median(distance_m[is_good])), skew=skew)
+    target = depth_target(pilot.rig, float(np.median(distance_m[is_good])), skew=request.skew)
     # Scaled so that the sum of all views has a unit diagonal: pixels and distortion differ by 10^8 in their squares.
     total = prior + information.sum(axis=0)
     scale = 1 / np.sqrt(np.diagonal(total))
     information = information * scale[:, None] * scale
     prior, total = prior * scale[:, None] * scale, total * scale[:, None] * scale
     target = target * scale[:, None] * scale
-    chosen = np.sort(choose_greedily(information, prior, target, min(most, len(candidates))))
+    n_wanted = min(request.max_views, len(candidates))
+    chosen = np.sort(
+        choose_greedily(
+            information, prior, target, n_wanted, each=lambda done: request.report("choosing views", done, n_wanted)
+        )
+    )
     sigmas = [
         float(np.sqrt(np.trace(np.linalg.solve(H, target)))) for H in (prior + information[chosen].sum(axis=0), total)
     ]
@@ -111,13 +124,18 @@ def select_views(
 
 
 def choose_greedily(
-    information: Float[ndarray, "views s s"], prior: Float[ndarray, "s s"], target: Float[ndarray, "s s"], n: int
+    information: Float[ndarray, "views s s"],
+    prior: Float[ndarray, "s s"],
+    target: Float[ndarray, "s s"],
+    n: int,
+    *,
+    each: Callable[[int], None] | None = None,
 ) -> Int[ndarray, "n"]:
     """Indices of ``n`` views, in the order in which each lowers trace(target inverse(information)) most.
 
     Until enough views are chosen to determine everything, a tenth of an average view stands in for the rest. Candidates
     are ranked by the criterion's gradient; the first few are compared exactly, because the gradient flatters views that
-    repeat each other.
+    repeat each other. ``each`` is called with the number of views chosen so far.
     """
     H = prior + 0.1 * information.mean(axis=0)
     is_free = np.ones(len(information), bool)
@@ -137,6 +155,8 @@ def choose_greedily(
         chosen.append(best)
         is_free[best] = False
         H = H + information[best]
+        if each is not None:
+            each(len(chosen))
     return np.array(chosen, dtype=int)
 
 
@@ -211,7 +231,11 @@ def _noise_px(pilot: StereoCalibration, weights: CornerWeights) -> float:
 
 
 def _informations(
-    detections: Detections, weights: CornerWeights, views: Int[ndarray, "k"], rig: StereoRig, skew: bool
+    detections: Detections,
+    weights: CornerWeights,
+    views: Int[ndarray, "k"],
+    rig: StereoRig,
+    request: CalibrationRequest,
 ) -> tuple[Float[ndarray, "k s s"], Float[ndarray, "s s"], Float[ndarray, "k"], Float[ndarray, "k"]]:
     """Each view's information for a noise of 1 px, that of the models' priors, RMS residuals, distances of the boards.
 
@@ -220,6 +244,7 @@ def _informations(
     blocks, rms, distances = [], [], []
     prior = np.zeros(0)
     for start in range(0, len(views), CHUNK_VIEWS):
+        request.report("weighing views", start, len(views))
         chosen = views[start : start + CHUNK_VIEWS]
         chunk, chunk_weights = detections.select(chosen), weights.select(chosen)
         poses = estimate_board_poses(rig, chunk, weights=chunk_weights)
@@ -227,7 +252,7 @@ def _informations(
         seen = np.isfinite(r2).any(axis=1) & poses.is_found
         rms_px = np.full(len(seen), np.inf)
         rms_px[seen] = np.sqrt(np.nanmean(r2[seen], axis=1))
-        problem = _problem_per_view(chunk, chunk_weights, rig, skew)
+        problem = _problem_per_view(chunk, chunk_weights, rig, request.skew)
         n = chunk.n_views
         estimate = BundleEstimate(
             tuple(np.broadcast_to(c.parameters, (n, len(c.parameters))) for c in (rig.left, rig.right)),
@@ -245,6 +270,7 @@ def _informations(
         rms.append(rms_px)
         centre = poses.T_left_board.R @ detections.object_points_m.mean(axis=0) + poses.T_left_board.t
         distances.append(np.linalg.norm(centre, axis=-1))
+    request.report("weighing views", len(views), len(views))
     return np.concatenate(blocks), np.diag(prior), np.concatenate(rms), np.concatenate(distances)
 
 

@@ -137,9 +137,9 @@ def calibrate(
     check_output(output, force=force)
     if opencv is not None:
         check_opencv_output(opencv, force=force)
-    options = verbs.CalibrateOptions(calibrator, model.value, skew, preprocess, seed, max_views)
     with progress_on_terminal() as progress:
-        run = verbs.calibrate_images(left, right, parsed, options, progress=progress)
+        request = verbs.CalibrationRequest(model.value, skew, seed, max_views, progress=progress)
+        run = verbs.calibrate_images(left, right, parsed, request, calibrator=calibrator, preprocess=preprocess)
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     rig_json.write_calibration(output, run.calibration, force=force)
     if opencv is not None:

@@ -1,0 +1,37 @@
+"""Who made a calibration, from what, and with which choices: written once, whatever the method."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from binocal import __version__
+from binocal.calibrators.base import CalibrationRequest
+from binocal.result import StereoCalibration
+
+
+def with_provenance(
+    calibration: StereoCalibration, calibrator: str, request: CalibrationRequest, inputs: Mapping[str, Any]
+) -> StereoCalibration:
+    """The calibration with its whole provenance.
+
+    Versions and platform, calibrator, seed, the choices asked for (``options``), where the evidence comes from
+    (``inputs``), the model and skew that were estimated, and what the method itself stated.
+    """
+    provenance = {
+        "binocal": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "platform": platform.platform(),
+        "calibrator": calibrator,
+        "seed": request.seed,
+        "options": {"model": request.model, "skew": request.skew, "max_views": request.max_views, **request.options},
+        **inputs,
+        "model": calibration.rig.left.model,
+        "skew": request.skew,
+    }
+    return replace(calibration, provenance=provenance | dict(calibration.provenance))
