@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from binocal.boards import Board, load_board
-    from binocal.calibrators import calibrate
+    from binocal.calibrators import CalibrationRequest, calibrate
     from binocal.cameras import Camera, StereoRig
     from binocal.detection import detect, detect_pairs
     from binocal.errors import (
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         TooFewViewsError,
     )
     from binocal.evidence import Detections
+    from binocal.formats.detections_npz import read_detections, write_detections
     from binocal.formats.rig_json import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
     from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 # Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
 _HOMES = {
     "binocal.boards": ("Board", "load_board"),
-    "binocal.calibrators": ("calibrate",),
+    "binocal.calibrators": ("CalibrationRequest", "calibrate"),
     "binocal.cameras": ("Camera", "StereoRig"),
     "binocal.detection": ("detect", "detect_pairs"),
     "binocal.evidence": ("Detections",),
@@ -54,6 +55,7 @@ _HOMES = {
         "TooFewPointsError",
         "TooFewViewsError",
     ),
+    "binocal.formats.detections_npz": ("read_detections", "write_detections"),
     "binocal.formats.rig_json": ("read_calibration", "read_rig", "write_calibration"),
     "binocal.geometry": ("SE3",),
     "binocal.result": (
@@ -72,6 +74,7 @@ __all__ = [
     "BinocalError",
     "Board",
     "CalibrationError",
+    "CalibrationRequest",
     "Camera",
     "Covariance",
     "DataError",
@@ -97,8 +100,10 @@ __all__ = [
     "detect_pairs",
     "load_board",
     "read_calibration",
+    "read_detections",
     "read_rig",
     "write_calibration",
+    "write_detections",
 ]
 
 

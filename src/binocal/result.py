@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
+from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
+
+SAME_RMS_PX, SAME_RMS_SHARE = (
+    1e-7,
+    1e-6,
+)  # two ways to compute one RMS differ by 1e-12 px; other corners by 1e-3 and more
+_NOT_THESE = "these are not the corners that the calibration was made from"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +85,9 @@ class ViewResult:
 
     RMS is over the others.
 
-    ``note`` says what was repaired, if anything. An RMS is NaN where the camera did not see the board.
+    ``note`` says what was repaired, if anything. An RMS is NaN where the camera did not see the board. ``left_order`` and
+    ``right_order`` are empty unless that camera's corners were put into another order: corner i of the view is corner
+    ``order[i]`` as detected.
     """
 
     name: str
@@ -88,6 +97,8 @@ class ViewResult:
     n_corners: int
     outliers: tuple[OutlierCorner, ...] = ()
     note: str = ""
+    left_order: tuple[int, ...] = ()
+    right_order: tuple[int, ...] = ()
 
     @property
     def n_outliers(self) -> int:
@@ -136,7 +147,85 @@ class StereoCalibration:
     n_iterations: int = 0
     provenance: Mapping[str, Any] = field(default_factory=dict)
     evidence: Evidence | None = None
-    """The corners that the rig was computed from; None when it was read from a file, which does not hold them."""
+    """The corners that the rig was computed from; None when it was read from a file that does not hold them, until
+    :meth:`with_evidence` brings them back."""
+    T_left_board: SE3 | None = None
+    """The board's pose in every used view; with evidence, that of the evidence."""
+    misfit_px: float | None = None
+    """The misfit that the corner weights count, see :class:`Evidence`; None where that is not known."""
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    """What the file that it was read from says beyond this class, by key; written back as it is."""
+
+    def __post_init__(self) -> None:
+        if self.evidence is not None:
+            object.__setattr__(self, "T_left_board", self.evidence.T_left_board)
+            object.__setattr__(self, "misfit_px", self.evidence.misfit_px)
+
+    def with_evidence(self, detections: Detections) -> StereoCalibration:
+        """The calibration with the corners that it was made from: ``detections`` as they were before it (views by name).
+
+        Corner orders that were repaired are repaired again. With evidence the calibration is as good as new: it can be checked
+        again, and its own corners be measured anew.
+
+        Raises:
+            DataError: These are not the corners that it was made from; the text names the first difference.
+        """
+        if self.T_left_board is None:
+            raise DataError("the calibration does not hold its views' board poses; calibrate anew from the corners.")
+        used = self._used_views(detections)
+        orders = {
+            side: {i: np.array(order) for i, v in enumerate(self.views) if (order := getattr(v, f"{side}_order"))}
+            for side in ("left", "right")
+        }
+        used = used.reorder("left", orders["left"]).reorder("right", orders["right"])
+        self._check_residuals(used)
+        return replace(self, evidence=Evidence(used, self.T_left_board, self.misfit_px or 0.0))
+
+    def _used_views(self, detections: Detections) -> Detections:
+        """The used views of detections that fit the rig's images and units."""
+        rig = self.rig
+        for side, found, expected in (
+            ("left", detections.left_size_wh, rig.left.size_wh),
+            ("right", detections.right_size_wh, rig.right.size_wh),
+        ):
+            if found != expected:
+                raise DataError(f"{_NOT_THESE}: the {side} images are {found} pixels, the rig's {expected}.")
+        if detections.is_metric != rig.is_metric:
+            raise DataError(f"{_NOT_THESE}: only one of the board and the rig is in metres.")
+        place = {name: i for i, name in enumerate(detections.names)}
+        if len(place) < detections.n_views:
+            raise DataError(f"{_NOT_THESE}: several views have one name.")
+        missing = [view.name for view in self.views if view.name not in place]
+        if missing:
+            raise DataError(f"{_NOT_THESE}: view {missing[0]} is missing ({len(missing)} of {len(self.views)} are).")
+        n = len(detections.object_points_m)
+        if any(len(order) not in (0, n) for view in self.views for order in (view.left_order, view.right_order)):
+            raise DataError(f"{_NOT_THESE}: the board has {n} points.")
+        return detections.select(np.array([place[view.name] for view in self.views], dtype=int))
+
+    def _check_residuals(self, used: Detections) -> None:
+        """Raises DataError: a view's corners are not as many, or not as far from their predictions, as the calibration says."""
+        in_left = self.T_left_board.apply(used.object_points_m)
+        n_seen = used.left_is_seen.sum(axis=1) + used.right_is_seen.sum(axis=1)
+        for i, view in enumerate(self.views):
+            if n_seen[i] != view.n_corners:
+                raise DataError(f"{_NOT_THESE}: view {view.name} has {n_seen[i]} corners instead of {view.n_corners}.")
+        for side, camera, points, px in (
+            ("left", self.rig.left, in_left, used.left_px),
+            ("right", self.rig.right, self.rig.T_right_left.apply(in_left), used.right_px),
+        ):
+            r2 = np.square(px - camera.project(points)).sum(axis=-1)
+            for i, view in enumerate(self.views):
+                r2[i, [o.corner for o in view.outliers if o.camera == side and o.corner < r2.shape[1]]] = np.nan
+                seen = r2[i][np.isfinite(r2[i])]
+                found, stated = float(np.sqrt(seen.mean())) if len(seen) else np.nan, getattr(view, f"{side}_rms_px")
+                if np.isnan(found) and np.isnan(stated):
+                    continue
+                if not abs(found - stated) <= SAME_RMS_PX + SAME_RMS_SHARE * stated:
+                    raise DataError(
+                        f"{_NOT_THESE}: {side} view {view.name} is {found:.4g} px from its prediction (RMS), "
+                        f"not {stated:.4g} px."
+                    )
 
     @property
     def euler_sigma_rad(self) -> tuple[float, float, float]:

@@ -11,6 +11,7 @@ from binocal.cameras import CAMERA_MODELS
 from binocal.cli import main
 from binocal.cli.verbs import Model
 from binocal.formats import rig_json
+from binocal.formats.detections_npz import read_detections
 from fakes import Rooms
 from rigs import make_rig
 
@@ -70,6 +71,21 @@ def test_below_the_quality_asked_for(rooms, capsys):
     assert main([*CALIBRATE, "--max-rms", "0.1"]) == 4
     assert "above --max-rms 0.1" in capsys.readouterr().out and os.path.exists("rig.json")
     assert main([*CALIBRATE, "--max-rms", "0.2", "--force"]) == 0
+
+
+def test_evidence_beside(rooms, capsys):
+    assert main([*CALIBRATE, "--evidence", "new/corners.npz"]) == 0
+    assert "Wrote    rig.json and new/corners.npz" in capsys.readouterr().out
+    back = read_detections("new/corners.npz")
+    assert back.names == rooms.detections.names and back.board_spec == "chessboard:11x8:10mm"
+    assert (back.left_px == rooms.detections.left_px).all()
+    assert main([*CALIBRATE, "--output", "b.json", "--evidence", "new/corners.npz"]) == 3 and not os.path.exists(
+        "b.json"
+    )
+    assert main([*CALIBRATE, "--output", "b.json", "--evidence", "b.json"]) == 2
+    assert "same file" in capsys.readouterr().err
+    assert main([*CALIBRATE, "--force", "--evidence", "new/corners.npz", "--json"]) == 0
+    assert one_document(capsys)["evidence"] == "new/corners.npz"
 
 
 def test_opencv_beside(rooms, capsys):

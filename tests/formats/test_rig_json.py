@@ -3,16 +3,18 @@ from __future__ import annotations
 import json
 import math
 import tempfile
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from binocal.boards import parse_board
 from binocal.errors import FormatError
 from binocal.formats import rig_json
-from rigs import assert_same_rig, make_calibration, make_poses, make_rig, rigs
+from rigs import assert_same_rig, calibrations, make_calibration, make_poses, make_rig, rigs
 
 
 @given(rigs())
@@ -54,9 +56,55 @@ def test_a_calibration_comes_back_whole(tmp_path):
     assert back.rejected == calibration.rejected and back.warnings == calibration.warnings
     assert back.rms == calibration.rms and back.noise_px == calibration.noise_px and back.n_iterations == 7
     assert back.evidence is None
-    (view,) = json.loads(path.read_text())["views"]
-    np.testing.assert_array_equal(view["T"], calibration.evidence.T_left_board.t[0])
+    np.testing.assert_array_equal(back.T_left_board.t, calibration.evidence.T_left_board.t)
+    np.testing.assert_array_equal(back.T_left_board.R, calibration.evidence.T_left_board.R)
     np.testing.assert_array_equal(back.covariance.matrix, calibration.covariance.matrix)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(calibrations(), st.randoms(use_true_random=False))
+def test_reading_and_writing_loses_no_key_and_no_digit(calibration, random):
+    with tempfile.TemporaryDirectory() as folder, np.errstate(invalid="ignore"):
+        path, again = Path(folder) / "rig.json", Path(folder) / "again.json"
+        rig_json.write_calibration(path, calibration)
+        back = rig_json.read_calibration(path)
+        rig_json.write_calibration(again, back)
+        assert again.read_bytes() == path.read_bytes()
+        assert_same_rig(back.rig, calibration.rig)
+        assert back.extra == calibration.extra and back.provenance == calibration.provenance
+        np.testing.assert_equal([asdict(view) for view in back.views], [asdict(view) for view in calibration.views])
+        np.testing.assert_array_equal(back.covariance.matrix, calibration.covariance.matrix)
+        np.testing.assert_equal(back.misfit_px, calibration.misfit_px)
+        assert (back.T_left_board is None) == (calibration.T_left_board is None)
+        document = json.loads(path.read_text())
+        add_keys(document, random)  # a later version's, or another program's, at any depth
+        path.write_text(json.dumps(document))
+        rig_json.write_calibration(again, rig_json.read_calibration(path), force=True)
+        assert json.loads(again.read_text()) == document
+
+
+def add_keys(value, random):
+    """A key of its own in some of the document's objects. What provenance and extra keys hold is free text anyway."""
+    if isinstance(value, dict):
+        for item in value.values():
+            add_keys(item, random)
+        if random.random() < 0.5:
+            value["of-another"] = [1.5, {"name": "x"}]
+    elif isinstance(value, list):
+        for item in value:
+            add_keys(item, random)
+
+
+def test_keys_of_another_follow_their_view(tmp_path):
+    document = rig_json.calibration_document(make_calibration(n_views=3))
+    document["views"][2]["camera_temperature_c"] = 31.5
+    document["left"]["serial"] = "A1"
+    (tmp_path / "rig.json").write_text(json.dumps(document))
+    calibration = rig_json.read_calibration(tmp_path / "rig.json")
+    shorter = replace(calibration, views=calibration.views[1:], T_left_board=calibration.T_left_board[1:])
+    written = rig_json.calibration_document(shorter)
+    assert [view.get("camera_temperature_c") for view in written["views"]] == [None, 31.5]
+    assert written["left"]["serial"] == "A1"
 
 
 def test_truth_comes_back_whole(tmp_path):
@@ -86,6 +134,8 @@ def test_truth_comes_back_whole(tmp_path):
         (lambda d: d.update(R=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "'R': expected a rotation matrix"),
         (lambda d: d.update(T=[[1], [2, 3]]), "'T': expected 3 numbers"),
         (lambda d: d.update(unit="mm"), "'unit': expected"),
+        (lambda d: d["left"].update(fx=10**400), r"'left\.fx': expected a number"),
+        (lambda d: d["left"].update(fx=math.inf), "holds Infinity"),
     ],
 )
 def test_a_broken_file_is_named_with_its_key(tmp_path, change, expected):
@@ -98,7 +148,29 @@ def test_a_broken_file_is_named_with_its_key(tmp_path, change, expected):
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b"null"])
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda d: d["views"][0].pop("R"), r"'views\[0\]\.R' is missing"),
+        (lambda d: d["views"][1].pop("R"), r"'views\[1\]\.R' is missing"),
+        (
+            lambda d: d["views"][0].update(left_order=[0, 0]),
+            r"'views\[0\]\.left_order': expected each of 0 to n - 1 once",
+        ),
+        (lambda d: d["views"][0].update(right_order=[0.5]), r"'views\[0\]\.right_order': expected a list of whole"),
+        (lambda d: d.update(misfit_px="none"), "'misfit_px': expected a number or null"),
+    ],
+)
+def test_a_broken_view_is_named_with_its_key(tmp_path, change, expected):
+    document = rig_json.calibration_document(make_calibration(n_views=2))
+    change(document)
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(FormatError, match=expected):
+        rig_json.read_calibration(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b"null", b"[" * 100_000, b"9" * 5000])
 def test_what_is_not_json_is_refused(tmp_path, content):
     path = tmp_path / "rig.json"
     path.write_bytes(content)

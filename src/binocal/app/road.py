@@ -59,6 +59,8 @@ class CalibrationRun:
     ignored: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     elapsed_s: Mapping[str, float] = field(default_factory=dict)
+    detections: Detections | None = None
+    """All corners as detected, those of rejected views too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,21 +121,22 @@ def calibrate_images(
         loading = aside.submit(_load_calibrator, calibrator)
         found = _detect(left, right, board, preprocess, request.progress, request.should_stop)
         calibrate = loading.result()
+    detections = replace(found.detections, board_spec=rig_json.format_board(board))
     detected = time.perf_counter()
     inputs = {
         "opencv": _opencv_version(),
-        "board": rig_json.format_board(board),
+        "board": detections.board_spec,
         "preprocess": preprocess,
         "input_sha256": dict(found.input_sha256),
     }
     with _explained(found.ignored, found.rejected):
-        calibration = calibrate(found.detections, request, calibrator=calibrator, inputs=inputs)
+        calibration = calibrate(detections, request, calibrator=calibrator, inputs=inputs)
     solved = time.perf_counter()
     calibration = replace(calibration, rejected=found.rejected + calibration.rejected)
     choice = calibration.provenance.get("view_choice")
     notes = (*found.notes, f"{choice['reason']}.") if choice else found.notes
     elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
-    return CalibrationRun(calibration, found.ignored, notes, elapsed_s)
+    return CalibrationRun(calibration, found.ignored, notes, elapsed_s, detections)
 
 
 def simulate(

@@ -65,7 +65,7 @@ def calibrate_as_requested(
     """
     method = load_calibrator(calibrator)
     _check_model(request.model)
-    from binocal.calibrators.provenance import with_provenance
+    from binocal.calibrators.provenance import with_corner_orders, with_provenance
 
     view_choice: dict[str, Any] = {}
     used = evidence
@@ -75,7 +75,7 @@ def calibrate_as_requested(
         selection = select_views(evidence, request, calibrator=calibrator)
         used = evidence.select(selection.views)
         view_choice = {"view_choice": selection.document(request.max_views)}
-    calibration = calibrate_named_or_best_model(used, method, request)
+    calibration = with_corner_orders(calibrate_named_or_best_model(used, method, request), used)
     return with_provenance(calibration, calibrator, request, dict(inputs or {}) | view_choice)
 
 

@@ -1,4 +1,4 @@
-"""Who made a calibration, from what, and with which choices: written once, whatever the method."""
+"""Who made a calibration, from what, and with which choices: said once, whatever the method."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from binocal import __version__
 from binocal.calibrators.base import CalibrationRequest
+from binocal.evidence import Detections, changed_orders
 from binocal.result import StereoCalibration
 
 
@@ -35,3 +36,17 @@ def with_provenance(
         "skew": request.skew,
     }
     return replace(calibration, provenance=provenance | dict(calibration.provenance))
+
+
+def with_corner_orders(calibration: StereoCalibration, evidence: Detections) -> StereoCalibration:
+    """The calibration whose views say in which order their corners of ``evidence`` were taken."""
+    if calibration.evidence is None:
+        return calibration
+    left, right = changed_orders(evidence, calibration.evidence.detections)
+    if not left and not right:
+        return calibration
+    views = (
+        replace(view, left_order=left.get(i, ()), right_order=right.get(i, ()))
+        for i, view in enumerate(calibration.views)
+    )
+    return replace(calibration, views=tuple(views))

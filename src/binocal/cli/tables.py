@@ -30,7 +30,7 @@ def list_left_out(ignored: Sequence[tuple[str, str]], rejected: Sequence[Rejecte
 
 
 def calibration_text(
-    run: CalibrationRun, output: Path, opencv: Path | None = None, max_rms_px: float | None = None
+    run: CalibrationRun, output: Path, beside: Sequence[Path] = (), max_rms_px: float | None = None
 ) -> str:
     """Summary of a calibration: warnings first, then cameras, pair, fit, views."""
     calibration = run.calibration
@@ -53,7 +53,7 @@ def calibration_text(
         lines.append(
             f"Time     {run.elapsed_s['images']:.2f} s for the images, {run.elapsed_s['solve']:.2f} s to solve"
         )
-    written = f"{output}" if opencv is None else f"{output} and {opencv}"
+    written = " and ".join(str(path) for path in (output, *beside))
     return "\n".join([*lines, f"Wrote    {written}"])
 
 

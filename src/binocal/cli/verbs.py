@@ -91,6 +91,14 @@ def calibrate(
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "rig.json"
     ),
+    evidence: Annotated[
+        Path | None,
+        typer.Option(
+            "--evidence",
+            help="Also write all corners as detected: from them and the rig every later step runs without the images.",
+            metavar="CORNERS.NPZ",
+        ),
+    ] = None,
     calibrator: Annotated[
         str,
         typer.Option("--calibrator", help="drl, drl-increments, lm, or weights that train wrote.", metavar="NAME"),
@@ -127,6 +135,7 @@ def calibrate(
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
+    from binocal.formats.detections_npz import write_detections
     from binocal.formats.opencv_yaml import check_opencv_output, write_opencv
     from binocal.formats.output import check_output
 
@@ -134,19 +143,28 @@ def calibrate(
     _check_calibrator(calibrator)
     if opencv is not None and skew:
         raise typer.BadParameter("OpenCV's functions ignore skew; leave out --skew or --opencv.")
-    check_output(output, force=force)
+    if evidence is not None and evidence.absolute() == output.absolute():
+        raise typer.BadParameter("--evidence and --output name the same file.")
+    for path in (output, evidence):
+        if path is not None:
+            check_output(path, force=force)
     if opencv is not None:
         check_opencv_output(opencv, force=force)
     with progress_on_terminal() as progress:
         request = verbs.CalibrationRequest(model.value, skew, seed, max_views, progress=progress)
         run = verbs.calibrate_images(left, right, parsed, request, calibrator=calibrator, preprocess=preprocess)
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
+    if evidence is not None:
+        write_detections(evidence, run.detections, force=force)
     rig_json.write_calibration(output, run.calibration, force=force)
     if opencv is not None:
         write_opencv(opencv, run.calibration.rig, force=force)
     is_good = max_rms is None or run.calibration.rms.all_px <= max_rms
     document = documents.calibration_run_document(run, output, max_rms)
-    _present(document, tables.calibration_text(run, output, opencv, max_rms), json)
+    if evidence is not None:
+        document["evidence"] = str(evidence)
+    beside = [path for path in (evidence, opencv) if path is not None]
+    _present(document, tables.calibration_text(run, output, beside, max_rms), json)
     return FINE if is_good else BELOW_QUALITY
 
 

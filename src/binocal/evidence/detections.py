@@ -19,7 +19,7 @@ class Detections:
 
     NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points
     are metres. Covariances say how well each corner was measured, NaN (or None for all of a camera's) where that is not
-    known; the solver trusts corners accordingly.
+    known; the solver trusts corners accordingly. ``board_spec`` is the board's SPEC text, where somebody said it.
     """
 
     object_points_m: Float[ndarray, "n 3"]
@@ -31,6 +31,7 @@ class Detections:
     is_metric: bool = True
     left_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
     right_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
+    board_spec: str | None = None
 
     def __post_init__(self) -> None:
         arrays = {}
@@ -104,6 +105,7 @@ class Detections:
         is_metric: bool = True,
         left_covariance_px2: Float[ndarray, "views n 2 2"] | None = None,
         right_covariance_px2: Float[ndarray, "views n 2 2"] | None = None,
+        board_spec: str | None = None,
     ) -> Detections:
         """Detections of plain arrays. The right camera's image size is the left's unless given.
 
@@ -127,6 +129,7 @@ class Detections:
             is_metric,
             left_covariance_px2,
             right_covariance_px2,
+            board_spec,
         )
 
     @property

@@ -1,6 +1,7 @@
 """binocal's own files, schema ``binocal/1``: ``rig.json`` (a calibration), ``truth.json`` (a simulated rig, its views).
 
-Full precision (the shortest text that reads back to the same number), no NaN: an unknown number is ``null``.
+Full precision (the shortest text that reads back to the same number), no NaN: an unknown number is ``null``. What a
+``rig.json`` says beyond the keys that are known here is kept, and written back.
 Lengths are in the file's ``unit``: metres, or board pitches where the board's size was not known.
 """
 
@@ -8,8 +9,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,8 @@ from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSumm
 
 SCHEMA = "binocal/1"
 UNITS = {True: "m", False: "board pitch"}
+_LARGEST = sys.float_info.max
+_SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,11 +68,11 @@ def rig_document(rig: StereoRig) -> dict[str, Any]:
 def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
     """``rig.json`` as a dictionary that holds only what JSON can say.
 
-    ``views`` hold the board's pose in the left camera (R, T) where the calibration still knows it; the corners stay out: they would
-    make the file fifty times larger.
+    ``views`` hold the board's pose in the left camera (R, T) where the calibration knows it; the corners stay out: they would
+    make the file fifty times larger (:mod:`binocal.formats.detections_npz` holds them).
     """
-    T_left_board = calibration.evidence.T_left_board if calibration.evidence else None
-    return jsonable(
+    poses = calibration.T_left_board
+    document = jsonable(
         rig_document(calibration.rig)
         | {
             "rms_px": {
@@ -83,17 +88,7 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
             "baseline_sigma_m": calibration.baseline_sigma_m,
             "covariance": {"names": calibration.covariance.names, "matrix": calibration.covariance.matrix},
             "views": [
-                {
-                    "name": view.name,
-                    "rms_px": view.rms_px,
-                    "left_rms_px": view.left_rms_px,
-                    "right_rms_px": view.right_rms_px,
-                    "n_corners": view.n_corners,
-                    "n_outliers": view.n_outliers,
-                    "outliers": view.outliers,
-                    "note": view.note,
-                }
-                | ({} if T_left_board is None else {"R": T_left_board.R[index], "T": T_left_board.t[index]})
+                _view_document(view) | ({} if poses is None else {"R": poses.R[index], "T": poses.t[index]})
                 for index, view in enumerate(calibration.views)
             ],
             "rejected": [{"name": view.name, "reason": view.reason} for view in calibration.rejected],
@@ -101,7 +96,64 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
             "n_iterations": calibration.n_iterations,
             "provenance": calibration.provenance,
         }
+        | ({} if calibration.misfit_px is None else {"misfit_px": calibration.misfit_px})
     )
+    return with_unknown_keys(document, calibration.extra)
+
+
+def _view_document(view: ViewResult) -> dict[str, Any]:
+    document = {
+        "name": view.name,
+        "rms_px": view.rms_px,
+        "left_rms_px": view.left_rms_px,
+        "right_rms_px": view.right_rms_px,
+        "n_corners": view.n_corners,
+        "n_outliers": view.n_outliers,
+        "outliers": view.outliers,
+        "note": view.note,
+    }
+    orders = {"left_order": view.left_order, "right_order": view.right_order}
+    return document | {key: order for key, order in orders.items() if order}
+
+
+def unknown_keys(document: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """What ``document`` says beyond ``known``, its own rewriting: keys at any depth, records of a list by their labels."""
+    unknown: dict[str, Any] = {}
+    for key, value in document.items():
+        if key not in known:
+            unknown[key] = value
+        elif isinstance(value, dict) and isinstance(known[key], dict):
+            if inner := unknown_keys(value, known[key]):
+                unknown[key] = inner
+        elif (
+            (records := _records(value)) is not None
+            and (others := _records(known[key])) is not None
+            and (inner := unknown_keys(records, others))
+        ):
+            unknown[key] = inner
+    return unknown
+
+
+def with_unknown_keys(document: dict[str, Any], unknown: Mapping[str, Any]) -> dict[str, Any]:
+    """The document with what :func:`unknown_keys` kept; records that are gone take theirs with them."""
+    merged = dict(document)
+    for key, value in unknown.items():
+        if key not in document:
+            merged[key] = jsonable(value)
+        elif isinstance(document[key], dict) and isinstance(value, Mapping):
+            merged[key] = with_unknown_keys(document[key], value)
+        elif (records := _records(document[key])) is not None and isinstance(value, Mapping):
+            merged[key] = [with_unknown_keys(record, value.get(label, {})) for label, record in records.items()]
+    return merged
+
+
+def _records(value: Any) -> dict[str, dict[str, Any]] | None:
+    """Records of a list by their names, or by their places where those are missing or not unique; None: no records."""
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        return None
+    names = [item.get("name") for item in value]
+    is_named = all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
+    return dict(zip(names if is_named else map(str, range(len(value))), value, strict=True))
 
 
 def truth_document(truth: Truth) -> dict[str, Any]:
@@ -145,13 +197,17 @@ def read_rig(path: str | Path) -> StereoRig:
 
 
 def read_calibration(path: str | Path) -> StereoCalibration:
-    """The calibration of a ``rig.json``; ``null`` becomes NaN; without evidence, which the file does not hold. Raises as :func:`read_rig`."""
+    """The calibration of a ``rig.json``; ``null`` becomes NaN. Raises as :func:`read_rig`.
+
+    Without evidence, which the file does not hold: :meth:`binocal.StereoCalibration.with_evidence` brings it back.
+    """
     top = _load(path)
     rms = top.mapping("rms_px")
     covariance = top.mapping("covariance")
     names = tuple(covariance.texts("names"))
     matrix = covariance.array("matrix", (len(names), len(names)), allow_null=True)
-    return StereoCalibration(
+    views = top.mappings("views")
+    calibration = StereoCalibration(
         rig=_parse_rig(top),
         covariance=Covariance(names, matrix),
         rms=ResidualSummary(*(rms.number(key, allow_null=True) for key in ("left", "right", "all"))),
@@ -168,14 +224,19 @@ def read_calibration(path: str | Path) -> StereoCalibration:
                     for corner in view.mappings("outliers")
                 ),
                 note=view.text("note"),
+                left_order=view.order("left_order"),
+                right_order=view.order("right_order"),
             )
-            for view in top.mappings("views")
+            for view in views
         ),
         rejected=tuple(RejectedView(view.text("name"), view.text("reason")) for view in top.mappings("rejected")),
         warnings=tuple(top.texts("warnings")),
         n_iterations=top.integer("n_iterations"),
         provenance=top.mapping("provenance").value,
+        T_left_board=_parse_poses(views) if any("R" in view.value for view in views) else None,
+        misfit_px=top.number("misfit_px", allow_null=True) if "misfit_px" in top.value else None,
     )
+    return replace(calibration, extra=unknown_keys(top.value, calibration_document(calibration)))
 
 
 def read_truth(path: str | Path) -> Truth:
@@ -206,7 +267,9 @@ def dump_json(document: Mapping[str, Any]) -> str:
         else:
             text = json.dumps(value, allow_nan=False, ensure_ascii=False)
         lines.append(f"  {json.dumps(key, ensure_ascii=False)}: {text}")
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+    text = "{\n" + ",\n".join(lines) + "\n}\n"
+    # names of files may hold bytes that are no UTF-8; Python keeps them as lone surrogates
+    return _SURROGATE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 def _camera_document(camera: Camera) -> dict[str, Any]:
@@ -264,7 +327,7 @@ class _Node:
         value = self._get(key, expected)
         if value is None and allow_null:
             return math.nan
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST:
             raise self.fail(key, expected)
         return float(value)
 
@@ -273,6 +336,15 @@ class _Node:
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.fail(key, "a whole number")
         return value
+
+    def order(self, key: str) -> tuple[int, ...]:
+        """A permutation of 0, 1, ...; empty where there is none."""
+        value = self.value.get(key, [])
+        if not isinstance(value, list) or not all(type(item) is int for item in value):
+            raise self.fail(key, "a list of whole numbers")
+        if sorted(value) != list(range(len(value))):
+            raise self.fail(key, "each of 0 to n - 1 once")
+        return tuple(value)
 
     def text(self, key: str) -> str:
         value = self._get(key, "a text")
@@ -323,15 +395,19 @@ def _null_to_nan(value: Any) -> Any:
     return math.nan if value is None else value
 
 
+def _refuse_constant(word: str) -> Any:
+    raise ValueError(f"it holds {word}; an unknown number is null")
+
+
 def _load(path: str | Path) -> _Node:
     path = Path(path)
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except FileNotFoundError:
         raise FormatError(path, "no such file") from None
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise FormatError(path, f"is not JSON: {error}") from None
     if not isinstance(value, dict) or "schema" not in value:
         raise FormatError(path, f"is not a binocal file: key 'schema' is missing; expected \"{SCHEMA}\"")

@@ -1,0 +1,191 @@
+"""Detections in a file: the corners that a calibration was made from, so that every later step runs without the images.
+
+A NumPy archive (``.npz``, readable with ``numpy.load``, nothing pickled) with the arrays of
+:class:`binocal.evidence.Detections` under their own names, as 64-bit floats, and ``header``: UTF-8 bytes of a JSON object with
+``schema``, ``version``, the views' names, image sizes (width, height), whether object points are metres, and the board's SPEC where it
+is known. The same detections give the same bytes.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+import math
+import operator
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.errors import DataError, FormatError
+from binocal.evidence import Detections
+from binocal.formats.output import write_aside
+
+SCHEMA, VERSION = "binocal/detections", 1
+HEADER = "header"
+ARRAYS = ("object_points_m", "left_px", "right_px")
+COVARIANCES = ("left_covariance_px2", "right_covariance_px2")
+REMEDY = "write it anew with `binocal calibrate --evidence` or binocal.write_detections"
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip archive can say: bytes must not depend on the clock
+
+
+def write_detections(path: str | Path, detections: Detections, *, force: bool = False) -> None:
+    """Write detections at full precision, aside and then renamed.
+
+    Raises:
+        OutputExistsError: Something is there and ``force`` is False.
+        DataError: The file cannot be written.
+    """
+    header = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "names": detections.names,
+        "left_size_wh": detections.left_size_wh,
+        "right_size_wh": detections.right_size_wh,
+        "is_metric": detections.is_metric,
+        "board": detections.board_spec,
+    }
+    arrays = {HEADER: np.frombuffer(json.dumps(header).encode("ascii"), dtype=np.uint8)}
+    arrays |= {name: getattr(detections, name) for name in ARRAYS}
+    arrays |= {name: value for name in COVARIANCES if (value := getattr(detections, name)) is not None}
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for name, array in arrays.items():
+            member = io.BytesIO()
+            little_endian = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+            np.lib.format.write_array(member, little_endian, version=(1, 0), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", _EPOCH), member.getvalue())
+    write_aside(path, content.getvalue(), force=force)
+
+
+def read_detections(path: str | Path) -> Detections:
+    """The detections that :func:`write_detections` wrote, to the last bit.
+
+    Raises:
+        FormatError: The file is missing, damaged or foreign; the text says what is wrong where, and what to do.
+    """
+    path = Path(path)
+    members = _load(path)
+    header = _parse_header(path, members)
+    arrays = {name: _parse_floats(path, members, name) for name in ARRAYS}
+    covariances = {name: _parse_floats(path, members, name) for name in COVARIANCES if name in members}
+    try:
+        return Detections(
+            **arrays,
+            **covariances,
+            left_size_wh=_size(header, "left_size_wh"),
+            right_size_wh=_size(header, "right_size_wh"),
+            names=tuple(header["names"]),
+            is_metric=header["is_metric"],
+            board_spec=header["board"],
+        )
+    except (ValueError, DataError) as error:
+        raise FormatError(path, f"holds no usable detections: {error}; {REMEDY}") from None
+
+
+def is_detections_file(path: str | Path) -> bool:
+    """Whether the file says that it holds detections, of whichever version."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return f'"{SCHEMA}"'.encode() in archive.read(f"{HEADER}.npy")
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError):
+        return False
+
+
+def _load(path: Path) -> dict[str, bytes]:
+    """The archive's members by the arrays' names; their checksums are checked."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise FormatError(path, "no such file") from None
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror}") from None
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            return {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        ValueError,
+        NotImplementedError,  # a compression or a zip version that Python does not know
+        RuntimeError,  # encrypted
+        MemoryError,
+    ) as error:
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise FormatError(
+            path, f"is not a whole NumPy archive ({words[:100]}); it is truncated, damaged or another file: {REMEDY}"
+        ) from None
+
+
+def _parse_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
+    if HEADER not in members:
+        raise FormatError(path, f"array '{HEADER}' is missing: these are not binocal's detections; {REMEDY}")
+    try:
+        header = json.loads(bytes(_parse_array(path, members, HEADER, np.uint8)))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(path, f"array '{HEADER}' is not JSON ({str(error)[:100]}); {REMEDY}") from None
+    if not isinstance(header, dict) or header.get("schema") != SCHEMA:
+        raise FormatError(path, f"array '{HEADER}': expected the schema \"{SCHEMA}\"; {REMEDY}")
+    if header.get("version") != VERSION:
+        shown = json.dumps(header.get("version"))[:60]
+        raise FormatError(path, f"its version is {shown}, this binocal reads {VERSION}; update binocal, or {REMEDY}")
+    for key, is_right, expected in (
+        ("names", _is_texts(header.get("names")), "a list of texts"),
+        ("left_size_wh", _is_size(header.get("left_size_wh")), "two whole numbers"),
+        ("right_size_wh", _is_size(header.get("right_size_wh")), "two whole numbers"),
+        ("is_metric", isinstance(header.get("is_metric"), bool), "true or false"),
+        ("board", isinstance(header.get("board", 0), str | None), "a text or null"),
+    ):
+        if not is_right:
+            shown = json.dumps(header.get(key))[:60]
+            raise FormatError(path, f"array '{HEADER}', key '{key}': expected {expected}, got {shown}; {REMEDY}")
+    return header
+
+
+def _is_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(item, str) for item in value)
+
+
+def _is_size(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(type(item) is int for item in value)
+
+
+def _size(header: dict[str, Any], key: str) -> tuple[int, int]:
+    width, height = header[key]
+    return width, height
+
+
+def _parse_floats(path: Path, members: dict[str, bytes], name: str) -> ndarray:
+    return _parse_array(path, members, name, np.float64)
+
+
+def _parse_array(path: Path, members: dict[str, bytes], name: str, dtype: type) -> ndarray:
+    """One array of the archive; nothing is allocated that its bytes do not fill."""
+    if name not in members:
+        raise FormatError(path, f"array '{name}' is missing; {REMEDY}")
+    member = members[name]
+    length = int.from_bytes(member[8:10], "little")
+    try:
+        if member[:8] != b"\x93NUMPY\x01\x00":
+            raise ValueError("it does not begin as one of version 1.0")
+        described = ast.literal_eval(member[10 : 10 + length].decode("latin1"))
+        shape, is_fortran, found = (described[key] for key in ("shape", "fortran_order", "descr"))
+        n_numbers = math.prod(operator.index(size) for size in shape)
+    except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError) as error:
+        words = " ".join(str(error).split())
+        raise FormatError(path, f"array '{name}' is not a NumPy array ({words[:100]}); {REMEDY}") from None
+    expected = np.dtype(dtype).newbyteorder("<")
+    data = member[10 + length :]
+    if found != expected.str or is_fortran or min(shape, default=0) < 0 or len(data) != n_numbers * expected.itemsize:
+        raise FormatError(
+            path,
+            f"array '{name}': expected {expected.name} in C order that fills its shape {shape}, got {found} in "
+            f"{len(data)} bytes; {REMEDY}",
+        )
+    return np.frombuffer(data, dtype=expected).reshape(shape)
