@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from binocal.boards import parse_board
 from binocal.cameras import Camera
-from binocal.detection.corner_fit import fit_corners
+from binocal.detection.measuring.corner_fit import fit_corners
 from binocal.geometry import SE3
 from binocal.geometry.so3 import exp
 from binocal.shapes import Float

@@ -13,11 +13,11 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
+from binocal.detection.finding.regularity import find_irregular, grid_residuals
+from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
-from binocal.detection.markers import find_markers, get_dictionary, to_8_bit
-from binocal.detection.refinement import corner_covariance, measure_corners, refine_corners
-from binocal.detection.regularity import find_irregular, grid_residuals
-from binocal.detection.xcorners import read_rings
+from binocal.detection.measuring.refinement import corner_covariance, measure_corners, refine_corners
 from binocal.shapes import Float, Float32, Int
 
 MIN_TAGS = 2  # one tag does not tell how the ids run

@@ -10,11 +10,11 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.detection.finding.markers import apply_homography, find_markers, get_dictionary, to_8_bit
+from binocal.detection.finding.regularity import find_irregular, grid_residuals
+from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
-from binocal.detection.markers import apply_homography, find_markers, get_dictionary, to_8_bit
-from binocal.detection.refinement import measure_corners
-from binocal.detection.regularity import find_irregular, grid_residuals
-from binocal.detection.xcorners import read_rings
+from binocal.detection.measuring.refinement import measure_corners
 from binocal.shapes import Bool, Float, Float32, Int
 
 Layout = Literal["", "current", "legacy"]

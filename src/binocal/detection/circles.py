@@ -9,11 +9,11 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.detection.blobs import Blobs, centre_covariance, find_blobs, refine_centres
+from binocal.detection.finding.blobs import Blobs, centre_covariance, find_blobs, refine_centres
+from binocal.detection.finding.markers import apply_homography
+from binocal.detection.finding.point_lattice import LatticePoints, grow_point_lattices
+from binocal.detection.finding.regularity import find_irregular, fit_homography
 from binocal.detection.found import FoundBoard, not_found
-from binocal.detection.markers import apply_homography
-from binocal.detection.point_lattice import LatticePoints, grow_point_lattices
-from binocal.detection.regularity import find_irregular, fit_homography
 from binocal.shapes import Float, Float32, Int
 
 MAX_SHARE_MISSING = 0.1  # of a grid whose outline is complete

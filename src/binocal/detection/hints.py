@@ -85,7 +85,7 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
 
 def _try_families(path: Path, grey: ndarray, board: Board) -> str:
     """Markers of other families than the board's."""
-    from binocal.detection.markers import find_markers, to_8_bit
+    from binocal.detection.finding.markers import find_markers, to_8_bit
 
     stretched, problem = stretch(grey)
     if problem:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.regularity import fit_homography
-from binocal.detection.xcorners import SaddleImage, XCorners, _wrap, read_rings
+from binocal.detection.finding.regularity import fit_homography
+from binocal.detection.finding.xcorners import SaddleImage, XCorners, _wrap, read_rings
 from binocal.kernels import images
 from binocal.shapes import Float, Int
 

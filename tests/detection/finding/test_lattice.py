@@ -3,8 +3,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from binocal.detection.lattice import continues_beyond, find_lattices, link_corners, predict_missing
-from binocal.detection.xcorners import SaddleImage, find_x_corners, localize_saddles, read_rings
+from binocal.detection.finding.lattice import continues_beyond, find_lattices, link_corners, predict_missing
+from binocal.detection.finding.xcorners import SaddleImage, find_x_corners, localize_saddles, read_rings
 
 
 def smooth_of(image):

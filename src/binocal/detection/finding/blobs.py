@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.refinement import estimate_noise_dn
+from binocal.detection.measuring.refinement import estimate_noise_dn
 from binocal.shapes import Float, Float32, Int
 
 MIN_AREA_PX2 = 12.0

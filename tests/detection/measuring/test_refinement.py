@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocal.detection.refinement import corner_covariance, estimate_noise_dn, refine_corners
+from binocal.detection.measuring.refinement import corner_covariance, estimate_noise_dn, refine_corners
 
 
 def test_corners_come_back_from_a_rough_start(shoot):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.corner_fit import fit_corners
+from binocal.detection.measuring.corner_fit import fit_corners
 from binocal.shapes import Float
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
@@ -30,7 +30,7 @@ def measure_corners(
 ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2 2"]]:
     """Corners and covariances by the maximum-likelihood fit, from starts within some pixels.
 
-    See :func:`binocal.detection.corner_fit.fit_corners` for ``reach_px`` and ``strip_px``. Where no saddle can be fitted
+    See :func:`binocal.detection.measuring.corner_fit.fit_corners` for ``reach_px`` and ``strip_px``. Where no saddle can be fitted
     from the start it is tried again from cornerSubPix's corner, whose half-window is ``per_reach`` times the reach; where
     that fails too (squares hardly wider than the blur) cornerSubPix's corner is taken, with its own, larger, covariance.
     A corner whose surroundings contradict the model (covered, glare) is NaN.

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.lattice import Lattice, find_lattices, link_corners
-from binocal.detection.xcorners import SaddleImage, XCorners, find_x_corners
+from binocal.detection.finding.lattice import Lattice, find_lattices, link_corners
+from binocal.detection.finding.xcorners import SaddleImage, XCorners, find_x_corners
 from binocal.shapes import Float, Float32, UInt8
 
 LEAST_LINKED_TO_STRETCH = 8  # chance seldom links more than six corners

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.corner_fit import fit_corners
-from binocal.detection.grid import grid_reach, grid_spacing
-from binocal.detection.regularity import expected_points
+from binocal.detection.finding.grid import grid_reach, grid_spacing
+from binocal.detection.finding.regularity import expected_points
+from binocal.detection.measuring.corner_fit import fit_corners
 from binocal.kernels import images
 from binocal.shapes import Bool, Float, Float32
 

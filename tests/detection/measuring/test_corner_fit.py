@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocal.detection.corner_fit import fit_corners
+from binocal.detection.measuring.corner_fit import fit_corners
 
 SPEC = "chessboard:11x8:20mm"
 BIG = {"size_wh": (1280, 960), "distance": 1.3}
