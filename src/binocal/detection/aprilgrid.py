@@ -14,7 +14,8 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
-from binocal.detection.finding.regularity import find_irregular, grid_residuals
+from binocal.detection.finding.planes import grid_residuals
+from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import corner_covariance, measure_corners, refine_corners
@@ -146,9 +147,7 @@ def _measure(
     points[np.linalg.norm(points - rough, axis=1) > np.maximum(0.15 * side, 2.5)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= 4:
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], 0.5 * side[seen])]] = (
-            np.nan
-        )
+        points = keep_regular(board.object_points_m[:, :2], points, 0.5 * side)
         seen = np.isfinite(points[:, 0])
     if seen.sum() < 4:
         return not_found(

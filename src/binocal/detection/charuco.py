@@ -10,8 +10,9 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.detection.finding.markers import apply_homography, find_markers, get_dictionary, to_8_bit
-from binocal.detection.finding.regularity import find_irregular, grid_residuals
+from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
+from binocal.detection.finding.planes import apply_homography, grid_residuals
+from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
@@ -124,9 +125,7 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
     points[~_are_x_corners(stretched, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= MIN_CORNERS:
-        points[np.nonzero(seen)[0][find_irregular(board.object_points_m[seen, :2], points[seen], spacing[seen])]] = (
-            np.nan
-        )
+        points = keep_regular(board.object_points_m[:, :2], points, spacing)
         seen = np.isfinite(points[:, 0])
     if seen.sum() < MIN_CORNERS or not _span_plane(board.object_points_m[seen, :2]):
         return not_found(

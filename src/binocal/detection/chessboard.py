@@ -10,11 +10,13 @@ from binocal.boards import Board
 from binocal.detection.finding.grid import grid_reach, grid_spacing
 from binocal.detection.finding.growth import grow
 from binocal.detection.finding.lattice import Lattice, continues_beyond
-from binocal.detection.finding.regularity import expected_points, find_irregular
+from binocal.detection.finding.planes import expected_points
+from binocal.detection.finding.regularity import find_irregular
 from binocal.detection.finding.search import SearchLevel, search_levels
-from binocal.detection.finding.xcorners import localize_saddles, read_rings
+from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
+from binocal.detection.measuring.saddles import localize_saddles
 from binocal.kernels import images
 from binocal.shapes import Bool, Float, UInt8
 

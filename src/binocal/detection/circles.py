@@ -9,11 +9,12 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.detection.finding.blobs import Blobs, centre_covariance, find_blobs, refine_centres
-from binocal.detection.finding.markers import apply_homography
+from binocal.detection.finding.blobs import Blobs, find_blobs
+from binocal.detection.finding.planes import apply_homography, fit_homography
 from binocal.detection.finding.point_lattice import LatticePoints, grow_point_lattices
-from binocal.detection.finding.regularity import find_irregular, fit_homography
+from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.measuring.centroids import centre_covariance, refine_centres
 from binocal.shapes import Float, Float32, Int
 
 MAX_SHARE_MISSING = 0.1  # of a grid whose outline is complete
@@ -125,7 +126,10 @@ def _direction(cells: ndarray, points: ndarray) -> tuple[float, bool]:
 
 
 def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"], is_dark: bool) -> FoundBoard:
-    centres, variance, areas_px2 = refine_centres(grey, blobs.select(index), is_dark=is_dark)
+    spots = blobs.select(index)
+    centres, variance, areas_px2 = refine_centres(
+        grey, spots.centres_px, spots.axes_px, spots.angles_rad, is_dark=is_dark
+    )
     centres[index < 0] = np.nan
     xy = board.object_points_m[:, :2]
     seen = np.isfinite(centres[:, 0])
@@ -134,7 +138,7 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     centres[seen] -= _centroid_shift(xy[seen], centres[seen], areas_px2[seen])
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
-    centres[np.nonzero(seen)[0][find_irregular(xy[seen], centres[seen], spacing[seen])]] = np.nan
+    centres = keep_regular(xy, centres, spacing)
     n_seen = int(np.isfinite(centres[:, 0]).sum())
     if n_seen < (1 - MAX_SHARE_MISSING) * board.n_points:
         return not_found(board.n_points, f"the circles do not lie on a smooth grid ({n_seen} of {board.n_points} do)")

@@ -88,8 +88,10 @@ def stretch_8_bit(grey: ndarray) -> tuple[UInt8[ndarray, "h w"], str]:
     if grey.dtype == np.uint8:
         table = np.clip(np.rint((np.arange(256) - low) * gain), 0, 255).astype(np.uint8)
         return cv2.LUT(grey, table), ""
-    # convertScaleAbs would fold what lies below the range
-    return cv2.add(cv2.multiply(grey, gain, dtype=cv2.CV_32F), -low * gain, dtype=cv2.CV_8U), ""
+    # convertScaleAbs would fold what lies below the range,
+    # and OpenCV's type stubs do not know that it takes a number for a scalar.
+    scaled = cv2.multiply(grey, gain, dtype=cv2.CV_32F)  # pyright: ignore[reportCallIssue, reportArgumentType]
+    return cv2.add(scaled, -low * gain, dtype=cv2.CV_8U), ""  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
 def _measure_range(grey: ndarray) -> tuple[float, float, str]:

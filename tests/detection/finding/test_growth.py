@@ -9,7 +9,7 @@ import pytest
 from binocal.benchmark.detection import MAX_ERROR_PER_SIDE, draw_detection_scene
 from binocal.detection import detect
 from binocal.detection.finding.growth import grow
-from binocal.detection.finding.regularity import expected_points
+from binocal.detection.finding.planes import expected_points
 
 
 @pytest.fixture(scope="module")

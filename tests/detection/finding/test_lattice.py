@@ -3,8 +3,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from binocal.detection.finding.lattice import continues_beyond, find_lattices, link_corners, predict_missing
-from binocal.detection.finding.xcorners import SaddleImage, find_x_corners, localize_saddles, read_rings
+from binocal.detection.finding.completion import predict_missing
+from binocal.detection.finding.groups import link_corners
+from binocal.detection.finding.lattice import continues_beyond, find_lattices
+from binocal.detection.finding.xcorners import SaddleImage, find_x_corners, read_rings
+from binocal.detection.measuring.saddles import localize_saddles
 
 
 def smooth_of(image):

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocal.detection.finding.regularity import find_irregular, fit_homography, grid_residuals
+from binocal.detection.finding.planes import fit_homography, grid_residuals
+from binocal.detection.finding.regularity import find_irregular
 
 H = np.array([[60.0, 8, 120], [-5, 58, 90], [0.01, 0.02, 1]])
 

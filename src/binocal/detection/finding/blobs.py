@@ -1,4 +1,4 @@
-"""Round spots: ellipses of one polarity, and their centroids to a hundredth of a pixel."""
+"""Round spots: ellipses of one polarity, to half a pixel."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.measuring.refinement import estimate_noise_dn
 from binocal.shapes import Float, Float32, Int
 
 MIN_AREA_PX2 = 12.0
 MIN_CONTRAST_DN = 12.0
-FLOOR_PX = 0.005  # what is left of the perspective shift; measured 0.0015 to 0.01 px
-_REACH = 1.45  # the spot's patch, in its own half-axes; neighbours of a grid with discs of 0.7 pitch begin at 1.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,72 +120,3 @@ def _merge(found: list[tuple[float, ...]], image: ndarray) -> Blobs:
         taken.setdefault((int(x // cell), int(y // cell)), []).append(blob)
     values = np.array(kept, dtype=float).reshape(-1, 6)
     return Blobs(values[:, :2], values[:, 2:4], values[:, 4])
-
-
-def refine_centres(
-    grey: ndarray, blobs: Blobs, *, is_dark: bool
-) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n"], Float[ndarray, "n"]]:
-    """Centroids of the spots' own grey values above a fitted plane of background, their variance, px^2, and areas, px^2.
-
-    NaN where none. The area is the spot's light over that of its middle, which blur leaves alone where the spot is larger
-    than it; the outlines' areas are 7 % too large at a radius of 20 px.
-    Weighting by grey makes the centroid exact under any symmetric blur, as long as the patch holds the whole spot.
-    """
-    image = grey.astype(np.float32)
-    noise_dn = estimate_noise_dn(grey)
-    centres, variance = np.full((len(blobs), 2), np.nan), np.full(len(blobs), np.nan)
-    areas_px2 = variance.copy()
-    for i, ((x, y), (major, minor), angle) in enumerate(
-        zip(blobs.centres_px, blobs.axes_px, blobs.angles_rad, strict=True)
-    ):
-        for _ in range(2):
-            fit = _centroid(image, x, y, major, minor, angle, is_dark)
-            if fit is None:
-                break
-            x, y, contrast, n_pixels, spread, area_px2 = fit
-        if fit is None or np.hypot(*(np.array([x, y]) - blobs.centres_px[i])) > 0.4 * minor + 1:
-            continue
-        centres[i], areas_px2[i] = (x, y), area_px2
-        # Variance of a first moment: noise^2 sum(r^2) / (contrast area)^2, per axis.
-        variance[i] = (noise_dn / contrast) ** 2 * 0.5 * spread * n_pixels / (np.pi * major * minor) ** 2 + FLOOR_PX**2
-    return centres, variance, areas_px2
-
-
-def _centroid(
-    image: ndarray, x: float, y: float, major: float, minor: float, angle: float, is_dark: bool
-) -> tuple[float, float, float, int, float, float] | None:
-    reach = _REACH * major + 2
-    left, top = int(np.floor(x - reach)), int(np.floor(y - reach))
-    right, bottom = int(np.ceil(x + reach)) + 1, int(np.ceil(y + reach)) + 1
-    if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
-        return None
-    patch = image[top:bottom, left:right].astype(float)
-    dy, dx = np.mgrid[top:bottom, left:right].astype(float)
-    dx, dy = dx - x, dy - y
-    cosine, sine = np.cos(angle), np.sin(angle)
-    along, across = dx * cosine + dy * sine, dy * cosine - dx * sine
-    # Widened by a fixed 2 px too: the blur does not shrink with the spot.
-    radius = np.hypot(along / (_REACH * major + 2), across / (_REACH * minor + 2))
-    spot, border = radius < 1, (radius >= 0.88) & (radius < 1)
-    if border.sum() < 8:
-        return None
-    plane = np.column_stack([dx[border], dy[border], np.ones(border.sum())])
-    level = np.linalg.lstsq(plane, patch[border], rcond=None)[0]
-    height = patch - (dx * level[0] + dy * level[1] + level[2])
-    weight = np.where(spot, -height if is_dark else height, 0.0)
-    total = weight.sum()
-    contrast = total / (np.pi * major * minor)
-    if contrast < 3:
-        return None
-    shift = (weight * dx).sum() / total, (weight * dy).sum() / total
-    middle = np.hypot(along / major, across / minor) < 0.45
-    top = float(weight[middle].mean()) if middle.sum() >= 5 and minor >= 4 else contrast
-    spread = float(((dx**2 + dy**2) * spot).sum() / spot.sum())
-    return x + shift[0], y + shift[1], contrast, int(spot.sum()), spread, float(total / max(top, contrast))
-
-
-def centre_covariance(variance: Float[ndarray, "n"], centres: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2 2"]:
-    """Isotropic covariances, NaN where the centre is."""
-    covariance = variance[:, None, None] * np.eye(2)
-    covariance[~np.isfinite(centres[:, 0])] = np.nan
-    return covariance

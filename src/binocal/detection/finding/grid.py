@@ -16,6 +16,27 @@ _NEIGHBOURS = (  # of a grid: the two ends of the steps along rows, columns and 
 )
 
 
+SIDES = (0, 1, 2, 3)  # of a grid: top, bottom, left, right
+
+
+def add_line(grid: Float[ndarray, "rows columns k"], side: int) -> Float[ndarray, "rows2 columns2 k"]:
+    """The grid with one more line, of NaN, on a side."""
+    pad = [(0, 0), (0, 0), (0, 0)]
+    pad[side // 2] = (1, 0) if is_before(side) else (0, 1)
+    return np.pad(grid, pad, constant_values=np.nan)
+
+
+def border_line(side: int) -> tuple[int | slice, ...]:
+    """The index of a grid's line on a side."""
+    end = 0 if is_before(side) else -1
+    return (end,) if side < 2 else (_ALL, end)
+
+
+def is_before(side: int) -> bool:
+    """Whether a line added on the side comes before the grid's first corner: then colours and counts shift by one."""
+    return side % 2 == 0
+
+
 def grid_spacing(grid: Float[ndarray, "rows columns 2"]) -> Float[ndarray, "rows columns"]:
     """Distance from each corner to the nearest of its four neighbours, and of the diagonal ones; NaN without any."""
     nearest = np.full(grid.shape[:2], np.inf)

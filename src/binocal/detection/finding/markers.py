@@ -51,9 +51,3 @@ def find_markers(
 def to_8_bit(stretched: Float[ndarray, "h w"]) -> UInt8[ndarray, "h w"]:
     """A stretched image (0..255) as OpenCV's marker decoder takes it."""
     return np.clip(stretched, 0, 255).astype(np.uint8)
-
-
-def apply_homography(H: Float[ndarray, "3 3"], xy: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-    """Points through a homography."""
-    mapped = xy @ H[:, :2].T + H[:, 2]
-    return mapped[..., :2] / mapped[..., 2:]

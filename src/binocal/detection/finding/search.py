@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.finding.lattice import Lattice, find_lattices, link_corners
+from binocal.detection.finding.groups import link_corners
+from binocal.detection.finding.lattice import Lattice, find_lattices
 from binocal.detection.finding.xcorners import SaddleImage, XCorners, find_x_corners
 from binocal.shapes import Float, Float32, UInt8
 

@@ -8,18 +8,22 @@ Bennett & Lasenby 2014, ChESS).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import images
-from binocal.shapes import Bool, Float, Float32, UInt8
+from binocal.shapes import Bool, Float, Float32
 
 MIN_CONTRAST_DN = 6.0  # of 255; ring contrast below it is noise in every camera tried
 # Opposite samples of a ring agree to 0.35 of its contrast: this admits shading across the ring and a centre that is off
 # by a fifth of the radius.
 MAX_UNLIKENESS = 0.35
+# Where the lattice says that a corner must be, half the contrast and less likeness will do: edges and grid bear it out.
+WEAK_CONTRAST_DN = 3.0
+WEAK_UNLIKENESS = 0.6
+PEAK_PER_TENTH = 0.5  # of the response that a tenth of the pixels exceed; corners peak far above it
+PEAK_REACH_PER_RADIUS = 0.6  # two corners are never closer than a ring's radius; peaks within 0.6 of it are one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,42 +67,14 @@ def find_x_corners(saddles: SaddleImage, *, most: int = 1200) -> XCorners:
     sparse = response[::8, ::8].ravel()
     ranks = (int(0.9 * sparse.size), max(0, int(sparse.size * (1 - 40 * most / response.size))))
     tenth, enough = (float(value) for value in np.partition(sparse, ranks)[list(ranks)])
-    least = max((MIN_CONTRAST_DN / (3 * radius_px)) ** 2, 0.5 * tenth)
-    reach, margin = max(1, round(0.6 * radius_px)), int(np.ceil(radius_px)) + 1
+    least = max((MIN_CONTRAST_DN / (3 * radius_px)) ** 2, PEAK_PER_TENTH * tenth)
+    reach, margin = max(1, round(PEAK_REACH_PER_RADIUS * radius_px)), int(np.ceil(radius_px)) + 1
     # Where noise has more peaks than are wanted, most are skipped by what only so many pixels reach.
     points = images.find_peaks(response, reach, margin, max(least, enough), most)
     if len(points) < most and enough > least:
         points = images.find_peaks(response, reach, margin, least, most)
     is_corner, rays, contrast = read_rings(saddles.smooth, points, radius_px)
     return XCorners(points[is_corner], rays[is_corner], contrast[is_corner])
-
-
-def localize_saddles(
-    image: UInt8[ndarray, "h w"], points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"]
-) -> Float[ndarray, "n 2"]:
-    """Points moved to the saddle of the quadratic that fits the grey levels around them best, to about 0.1 px.
-
-    A point stays where the fit is no saddle, or moves by more than its window (a third of the smaller spacings, 2 to 8 px).
-    NaN stays NaN. Source: Lucchese & Mitra 2002, "Using saddle points for subpixel feature detection".
-    """
-    points = np.asarray(points_px, dtype=float).copy()
-    index = np.nonzero(np.isfinite(points[:, 0]) & np.isfinite(spacing_px))[0]
-    if len(index) == 0:
-        return points
-    reach = int(np.clip(np.sort(spacing_px[index])[len(index) // 5] / 3, 2, 8))
-    fit = _quadratic_fit(reach)
-    points[index] = images.localize_saddles(image, points[index], fit, reach)
-    return points
-
-
-@lru_cache(maxsize=16)
-def _quadratic_fit(reach: int) -> Float[ndarray, "5 k2"]:
-    """The matrix from a window's pixels to the coefficients of x^2, xy, y^2, x and y."""
-    step = np.arange(-reach, reach + 1)
-    y, x = (axis.ravel().astype(float) for axis in np.meshgrid(step, step, indexing="ij"))
-    weight = np.exp(-(x**2 + y**2) / reach**2)
-    basis = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=-1)
-    return np.linalg.solve(basis.T @ (weight[:, None] * basis), basis.T * weight)[:5]
 
 
 def read_rings(
@@ -113,5 +89,6 @@ def read_rings(
     return images.read_rings(smooth, points_px, radius_px, min_contrast_dn, max_unlikeness)
 
 
-def _wrap(angle: ndarray) -> ndarray:
+def wrap_angle(angle: ndarray) -> ndarray:
+    """The same angle, radians, from -pi to pi."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
