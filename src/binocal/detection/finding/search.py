@@ -5,25 +5,33 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
 from binocal.detection.finding.groups import link_corners
-from binocal.detection.finding.lattice import Lattice, find_lattices
+from binocal.detection.finding.lattice import MIN_CORNERS, Lattice, find_lattices
 from binocal.detection.finding.xcorners import SaddleImage, XCorners, find_x_corners
 from binocal.shapes import Float, Float32, UInt8
 
 LEAST_LINKED_TO_STRETCH = 8  # chance seldom links more than six corners
+# The later, costly searches only help where squares are small, blurred or noisy, but seen in part; for the same reason
+# they ask for corners linked before. A small image (one halving) costs little and is searched on less.
+LINKED_TO_RETRY, LINKED_TO_RETRY_SMALL = 7, 4
 STRETCHES = 8  # directions of a half turn
+SHORTENED, WIDENED = 0.5, 2.0  # along and across a direction: rhombi of 4 to 1 become squares
+REACH_OF_LINKED = 1.0  # of the linked corners' extent, beyond them: they are a part of a board of up to three times it
 COARSEST_PX = 320  # long side of the coarsest image searched: 12 squares across 60 % of it are 16 px each
+MOST_SADDLES = 1200  # tried where the board is not known; otherwise four a corner, for clutter has saddles too
+MOST_SADDLES_PER_CORNER, LEAST_SADDLES = 4, 400
 MOST_KEPT_PIXELS = 1 << 21  # 1920x1080: at most 100 MB a thread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchLevel:
-    """One search: the lattices in a scaled or stretched image, in that image's pixels.
+    """One search: the X-corners and lattices of a scaled or stretched image, in that image's pixels.
 
     ``matrix`` takes the image's pixels to these.
     """
@@ -32,8 +40,8 @@ class SearchLevel:
     corners: XCorners
     matrix: Float[ndarray, "2 3"]
     lattices: list[Lattice]
-    is_stretched: bool = False
-    """And shows a part of the image only."""
+    linked_px: Float[ndarray, "n 2"]
+    """The largest group of linked corners, in the image's pixels."""
 
     def from_image(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Points of the image in this one."""
@@ -41,7 +49,7 @@ class SearchLevel:
 
     def to_image(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Points of this image in the whole one."""
-        return (points - self.matrix[:, 2]) @ np.linalg.inv(self.matrix[:, :2]).T
+        return _to_image(points, self.matrix)
 
 
 class _Planes(threading.local):
@@ -65,48 +73,77 @@ class _Planes(threading.local):
 _planes = _Planes()
 
 
-def search_levels(image: UInt8[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[SearchLevel]:
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """How many corners a lattice has at least, and how many saddles are tried, for a board's size (None: unknown)."""
+
+    size: tuple[int, int] | None
+
+    @property
+    def least_corners(self) -> int:
+        return MIN_CORNERS if self.size is None else max(4, min(MIN_CORNERS, self.size[0] * self.size[1] // 2))
+
+    @property
+    def most_saddles(self) -> int:
+        if self.size is None:
+            return MOST_SADDLES
+        return max(LEAST_SADDLES, MOST_SADDLES_PER_CORNER * self.size[0] * self.size[1])
+
+
+def scaled_levels(image: UInt8[ndarray, "h w"], size: tuple[int, int] | None) -> Iterator[SearchLevel]:
     """The lattices of an image (8 bits), coarse to fine.
 
     Most boards are found at the first level, at a fraction of the cost of the last. ``size`` is the board's corners along
-    the longer and the shorter side, None if it is not known. Where it is, and corners were linked but nobody stopped the
-    search, the image about them follows, stretched in eight directions.
+    the longer and the shorter side, None if it is not known.
     """
     halvings = max(0, int(np.floor(np.log2(max(image.shape) / COARSEST_PX))))
     pyramid = [image]
     for _ in range(halvings):
         pyramid.append(cv2.resize(pyramid[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    least = 9 if size is None else max(4, min(9, size[0] * size[1] // 2))
-    most = 1200 if size is None else max(400, 4 * size[0] * size[1])
-    most_linked, linked = 0, np.zeros((0, 2))
-    for index, (halved, sigma, radius_px, least_linked) in enumerate(_level_settings(halvings)):
-        if most_linked < least_linked:
+    most_linked = 0
+    for index, setting in enumerate(level_settings(halvings)):
+        if most_linked < setting.least_linked:
             continue
-        if halved < 0:
+        if setting.halvings < 0:
             scaled = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         else:
-            scaled = pyramid[halved]
+            scaled = pyramid[setting.halvings]
         # As float32: rounded to grey levels, a blurred corner's curvature drowns.
-        exact = _planes.take("exact", halved, scaled.shape)
+        exact = _planes.take("exact", setting.halvings, scaled.shape)
         smooth, response = (_planes.take(use, index, scaled.shape) for use in ("smooth", "response"))
         np.copyto(exact, scaled)
-        saddles = SaddleImage.of(cv2.GaussianBlur(exact, (0, 0), sigma, dst=smooth), radius_px, response)
-        corners = find_x_corners(saddles, most=most)
-        groups = link_corners(saddles, corners)
-        if groups and len(groups[0]) > most_linked:
-            most_linked = len(groups[0])
-            linked = (corners.points_px[groups[0].members] + 0.5) / 0.5**halved - 0.5
-        lattices = find_lattices(saddles, corners, groups, least=least, size=size)
-        yield SearchLevel(saddles, corners, _scaling(0.5**halved), lattices)
-    if size is None or most_linked < LEAST_LINKED_TO_STRETCH:
-        return
+        smooth = cv2.GaussianBlur(exact, (0, 0), setting.blur_px, dst=smooth)
+        saddles = SaddleImage.of(smooth, setting.radius_px, response)
+        level = _search(saddles, _scaling(0.5**setting.halvings), size)
+        most_linked = max(most_linked, len(level.linked_px))
+        yield level
+
+
+def stretched_levels(
+    image: UInt8[ndarray, "h w"], size: tuple[int, int], linked_px: Float[ndarray, "n 2"]
+) -> Iterator[SearchLevel]:
+    """The lattices of the image about some linked corners, stretched in eight directions in turn.
+
+    Squares that are seen very obliquely are slender rhombi whose corners hardly look like any; in one of the directions
+    they are nearly squares.
+    """
     for angle in np.linspace(0, np.pi, STRETCHES, endpoint=False):
-        stretched, matrix = _stretched(image, linked, angle)
+        stretched, matrix = _stretch(image, linked_px, angle)
         saddles = SaddleImage.of(cv2.GaussianBlur(stretched, (0, 0), 1.5), 5.0)
-        corners = find_x_corners(saddles, most=most)
-        groups = link_corners(saddles, corners)
-        lattices = find_lattices(saddles, corners, groups, least=least, size=size)
-        yield SearchLevel(saddles, corners, matrix, lattices, is_stretched=True)
+        yield _search(saddles, matrix, size)
+
+
+def _search(saddles: SaddleImage, matrix: Float[ndarray, "2 3"], size: tuple[int, int] | None) -> SearchLevel:
+    limits = _Limits(size)
+    corners = find_x_corners(saddles, most=limits.most_saddles)
+    groups = link_corners(saddles, corners)
+    linked = corners.points_px[groups[0].members] if groups else np.zeros((0, 2))
+    lattices = find_lattices(saddles, corners, groups, least=limits.least_corners, size=size)
+    return SearchLevel(saddles, corners, matrix, lattices, _to_image(linked, matrix))
+
+
+def _to_image(points: Float[ndarray, "*n 2"], matrix: Float[ndarray, "2 3"]) -> Float[ndarray, "*n 2"]:
+    return (points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
 
 
 def _scaling(scale: float) -> Float[ndarray, "2 3"]:
@@ -115,17 +152,14 @@ def _scaling(scale: float) -> Float[ndarray, "2 3"]:
     return np.array([[scale, 0, shift], [0, scale, shift]])
 
 
-def _stretched(
+def _stretch(
     image: UInt8[ndarray, "h w"], linked_px: Float[ndarray, "n 2"], angle: float
 ) -> tuple[Float32[ndarray, "h w"], Float[ndarray, "2 3"]]:
-    """The image about some corners, drawn to half its length along a direction and twice across.
-
-    There slender rhombi are nearly squares. The corners are a part of a board that may reach thrice as far.
-    """
+    """The image about some corners, drawn to half its length along a direction and twice across."""
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-along[1], along[0]])
-    A = 0.5 * np.outer(along, along) + 2.0 * np.outer(across, across)
-    reach = np.ptp(linked_px, axis=0).max() + 20
+    A = SHORTENED * np.outer(along, along) + WIDENED * np.outer(across, across)
+    reach = REACH_OF_LINKED * np.ptp(linked_px, axis=0).max() + 20
     low = np.maximum(linked_px.min(axis=0) - reach, 0)
     high = np.minimum(linked_px.max(axis=0) + reach, np.array(image.shape[::-1]) - 1)
     outline = np.array([low, [high[0], low[1]], [low[0], high[1]], high]) @ A.T
@@ -135,23 +169,29 @@ def _stretched(
     return drawn, matrix
 
 
-def _level_settings(halvings: int) -> list[tuple[int, float, float, int]]:
-    """The searches in order: halvings of the image, smoothing and ring radius in pixels of the halved image.
+class LevelSetting(NamedTuple):
+    """One search: how often the image is halved (-1: doubled), smoothing and ring radius in pixels of that image."""
 
-    The last number is how many linked corners earlier searches must have seen: chance seldom links more than six, and the
-    dear searches only help where squares are small, blurred or noisy, but seen in part.
-    """
+    halvings: int
+    blur_px: float
+    radius_px: float
+    least_linked: int = 0
+    """Corners that earlier searches must have linked."""
+
+
+def level_settings(halvings: int) -> list[LevelSetting]:
+    """The searches of an image that can be halved so often, in order."""
     if halvings == 0:
-        return [(0, 1.2, 4.0, 0), (0, 0.8, 2.6, 0), (-1, 1.2, 3.5, 0)]
-    middle = [(halved, 1.2, 4.0, 0) for halved in range(halvings - 1, 0, -1)]
+        return [LevelSetting(0, 1.2, 4.0), LevelSetting(0, 0.8, 2.6), LevelSetting(-1, 1.2, 3.5)]
     if halvings == 1:
-        return [(1, 0.8, 2.6, 0), (0, 1.2, 4.0, 0), (0, 1.0, 3.0, 0), (1, 1.5, 5.0, 4)]
+        settings = [LevelSetting(1, 0.8, 2.6), LevelSetting(0, 1.2, 4.0), LevelSetting(0, 1.0, 3.0)]
+        return [*settings, LevelSetting(1, 1.5, 5.0, LINKED_TO_RETRY_SMALL)]
     return [
-        (halvings, 0.8, 2.6, 0),
-        *middle,
-        (0, 1.0, 3.2, 0),
-        (1, 0.8, 2.6, 7),
-        (0, 1.5, 5.0, 7),
-        (halvings, 1.5, 5.0, 7),
-        (0, 2.0, 4.5, 7),
+        LevelSetting(halvings, 0.8, 2.6),
+        *(LevelSetting(halved, 1.2, 4.0) for halved in range(halvings - 1, 0, -1)),
+        LevelSetting(0, 1.0, 3.2),
+        LevelSetting(1, 0.8, 2.6, LINKED_TO_RETRY),
+        LevelSetting(0, 1.5, 5.0, LINKED_TO_RETRY),
+        LevelSetting(halvings, 1.5, 5.0, LINKED_TO_RETRY),
+        LevelSetting(0, 2.0, 4.5, LINKED_TO_RETRY),
     ]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.detection.measuring.corner_fit import fit_corners
-from binocal.shapes import Float
+from binocal.shapes import Bool, Float, Int
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
 WINDOW_PER_SPACING = 0.38  # half-width; the window's diagonal then ends at 0.54 of the way to the nearest corner
@@ -67,9 +67,7 @@ def refine_corners(
         grey = grey.astype(np.float32)
     points_px = np.asarray(points_px, dtype=float)
     refined = np.full(points_px.shape, np.nan)
-    usable = np.isfinite(points_px[:, 0]) & np.isfinite(spacing_px)
-    half = np.zeros(len(points_px), int)
-    half[usable] = np.clip(np.floor(per_spacing * spacing_px[usable]), 2, LARGEST_HALF_WINDOW_PX)
+    usable, half = _half_windows(points_px, spacing_px, per_spacing)
     height, width = grey.shape
     edge = np.minimum(points_px, np.array([width, height]) - 1 - points_px).min(axis=1)
     usable &= np.nan_to_num(edge, nan=-1) >= half + 1
@@ -81,6 +79,16 @@ def refine_corners(
         # cornerSubPix returns the start itself where it fails to stay in its window.
         refined[index] = np.where(((moved > 0) & (moved <= max(size, 2)))[:, None], end, np.nan)
     return refined
+
+
+def _half_windows(
+    points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"], per_spacing: float
+) -> tuple[Bool[ndarray, "n"], Int[ndarray, "n"]]:
+    """Which points have a window, and half its width in pixels."""
+    usable = np.isfinite(points_px[:, 0]) & np.isfinite(spacing_px)
+    half = np.zeros(len(points_px), int)
+    half[usable] = np.clip(np.floor(per_spacing * spacing_px[usable]), 2, LARGEST_HALF_WINDOW_PX)
+    return usable, half
 
 
 def estimate_noise_dn(grey: ndarray) -> float:
@@ -112,9 +120,7 @@ def corner_covariance(
     """
     variance = np.full(len(points_px), np.nan)
     noise_dn = estimate_noise_dn(grey)
-    usable = np.isfinite(points_px[:, 0]) & np.isfinite(spacing_px)
-    half = np.zeros(len(points_px), int)
-    half[usable] = np.clip(np.floor(per_spacing * spacing_px[usable]), 2, LARGEST_HALF_WINDOW_PX)
+    usable, half = _half_windows(points_px, spacing_px, per_spacing)
     size_wh = np.array(grey.shape[::-1])
     for size in np.unique(half[usable]):
         index = np.nonzero(usable & (half == size))[0]

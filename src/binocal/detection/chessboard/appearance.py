@@ -1,0 +1,71 @@
+"""Do the squares and corners of a grid look like a chessboard's?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.detection.finding.grid import grid_spacing
+from binocal.detection.finding.search import SearchLevel
+from binocal.detection.finding.xcorners import WEAK_CONTRAST_DN, WEAK_UNLIKENESS, read_rings
+from binocal.kernels import images
+from binocal.shapes import Bool, Float
+
+MAX_SHARE_DARK = 0.25  # of a bright square's samples, in the median square: a marker fills more than half of its square
+FAINT_RATIO = 3.0  # the typical corner's contrast over a covered one's; a shadow dims brightness and contrast alike
+RING_PER_SPACING = 0.2  # of the typical spacing, within RING_LIMITS_PX: well within the squares about the corner
+RING_LIMITS_PX = (2.5, 8.0)
+MIN_SHARE_CLEAR = 0.5  # of the corners must look like X-corners before those that do not are called covered
+
+
+def are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2"], is_dark_first: bool) -> bool:
+    """Whether the bright squares are not plain: a marker fills most of its square with dark, shading only tints it.
+
+    Each bright square is compared with the dark squares beside it, for shadows may lie on the board.
+    """
+    corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)  # (rows, columns, 4, 2)
+    share = np.linspace(0.2, 0.8, 7)
+    v, u = (axis.ravel() for axis in np.meshgrid(share, share, indexing="ij"))
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
+    places = np.tensordot(corners, weights, axes=(2, 1)).transpose(0, 1, 3, 2)  # (rows, columns, samples, 2)
+    values = images.sample(smooth, places)
+    rows, columns = values.shape[:2]
+    is_whole = np.isfinite(corners[..., 0]).all(axis=2)
+    is_bright = ((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1) ^ (not is_dark_first)) & is_whole
+    middle = np.where(is_whole & ~is_bright, values.mean(axis=-1), np.nan)
+    around = np.full((rows + 2, columns + 2), np.nan)
+    around[1:-1, 1:-1] = middle
+    dark = np.fmax(np.fmax(around[:-2, 1:-1], around[2:, 1:-1]), np.fmax(around[1:-1, :-2], around[1:-1, 2:]))
+    usable = is_bright & np.isfinite(dark)
+    if not usable.any():
+        return False
+    values, dark = values[usable], dark[usable]
+    share_dark = np.mean(values < 0.5 * (dark + values.max(axis=-1))[:, None], axis=-1)
+    return bool(np.median(share_dark) > MAX_SHARE_DARK)
+
+
+def are_faint(
+    level: SearchLevel, points_px: Float[ndarray, "n 2"], grid_px: Float[ndarray, "rows columns 2"]
+) -> Bool[ndarray, "n"]:
+    """Which points of the image do not look like the others, likely covered: no X-corner, or one with a third of their contrast.
+
+    Contrast is taken absolutely and relative to the brightness about the corner, because a shadow dims both. Says
+    nothing (all False) where most points fail: an image too blurred for rings of this size is not covered everywhere.
+    """
+    smooth, points = level.saddles.smooth, level.from_image(points_px)
+    spacing = grid_spacing(level.from_image(grid_px)).ravel()
+    seen = np.isfinite(points[:, 0])
+    faint = np.zeros(len(points), bool)
+    if not seen.any():
+        return faint
+    radius = float(np.clip(RING_PER_SPACING * np.median(spacing[seen]), *RING_LIMITS_PX))
+    is_corner, _, contrast = read_rings(
+        smooth, points[seen], radius, min_contrast_dn=WEAK_CONTRAST_DN, max_unlikeness=WEAK_UNLIKENESS
+    )
+    if is_corner.mean() > MIN_SHARE_CLEAR:
+        relative = contrast / (images.sample(smooth, points[seen]) + 1)
+        faint[seen] = ~is_corner
+        faint[seen] |= (contrast < np.median(contrast[is_corner]) / FAINT_RATIO) & (
+            relative < np.median(relative[is_corner]) / FAINT_RATIO
+        )
+    return faint
