@@ -17,6 +17,8 @@ def orient(lattice: Lattice, board: Board) -> Float[ndarray, "rows columns 2"]:
     for _ in range(4):
         if grid.shape[:2] == (board.rows, board.columns):
             ways = grid[:, -1] - grid[:, 0]
+            if not np.isfinite(ways).any():  # no row shows both of its ends
+                ways = np.diff(grid, axis=1).reshape(-1, 2)
             way = ways[np.isfinite(ways[:, 0])].mean(axis=0)
             choices.append((is_dark_first, float(way.sum() / np.linalg.norm(way)), grid))
         # The next first corner is the present row's last; its outward square is of the other colour unless the row is
