@@ -55,12 +55,12 @@ class Sightings:
     agrees_on_larger: bool = False
     """Whether two searches running showed the same larger board."""
     linked_px: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    """The largest group of linked corners of the unstretched searches."""
+    """The largest group of linked corners."""
 
     def with_level(self, level: SearchLevel) -> Sightings:
         """With what one more search has shown."""
         seen = replace(self, is_second_look=bool(self.pending))
-        if not self.is_stretched and len(level.linked_px) > len(self.linked_px):
+        if len(level.linked_px) > len(self.linked_px):
             seen = replace(seen, linked_px=level.linked_px)
         exact = [lattice for lattice in level.lattices if lattice.size == self.size]
         return seen._with_exact(Candidate(exact[0], level)) if exact else seen._with_others(level)

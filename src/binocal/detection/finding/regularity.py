@@ -10,9 +10,8 @@ from binocal.shapes import Bool, Float
 
 MAX_OFF_PER_SPACING = 0.1  # the worst true corner of a 110-degree lens is 0.04 spacings off; a neighbour's corner 1
 MIN_LIMIT_PX = 1.0  # where squares are small, corners of the coarse search are off by as much
-N_FOR_PLAIN_FIT = (
-    40  # points from which on leverages stay below 0.5: a wild point keeps half of its error in a plain fit
-)
+# Points from which on leverages stay below 0.5: a wild point keeps half of its error in a plain fit.
+N_FOR_PLAIN_FIT = 40
 
 
 def keep_regular(
