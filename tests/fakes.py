@@ -1,4 +1,4 @@
-"""Stand-ins for the heavy rooms, so that the shells are tested alone: exact corners instead of images."""
+"""Stand-ins for the heavy packages, so that the shells are tested alone: exact corners instead of images."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import binocal.metrics.held_out  # noqa: F401 - bound to the real simulation
 from binocal.calibrators import load_calibrator
 from binocal.result import Covariance, Evidence, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.simulation import StereoScene
 from rigs import make_detections, make_poses, make_rig
 
 
@@ -44,14 +46,8 @@ class RenderOptions:
     noise_dn: float
 
 
-@dataclass(frozen=True)
-class RenderedImage:
-    image: np.ndarray
-    corners_px: np.ndarray
-
-
-class Rooms:
-    """The fake rooms; a test changes a function to make its own weather."""
+class FakePackages:
+    """The fake packages; a test changes a function to make its own case."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.rig, self.poses = make_rig(), make_poses(6, np.random.default_rng(0))
@@ -59,7 +55,7 @@ class Rooms:
         self.rejected = (RejectedView("07", "no board found in the right image"),)
         self.calibrate: Callable[..., StereoCalibration] = self._calibrate
         self.calls: dict[str, Any] = {}
-        rooms = {
+        packages = {
             "binocal.calibrators": {
                 "calibrate_as_requested": self._call_calibrate,
                 "CALIBRATORS": {"drl": lambda: self.calibrate},
@@ -72,12 +68,13 @@ class Rooms:
                 "table2_rig": lambda: self.rig,
                 "sample_board_poses": lambda rig, board, n_views, rng: make_poses(n_views, rng),
                 "RenderOptions": RenderOptions,
-                "render_image": self._render_image,
+                "StereoScene": StereoScene,
+                "render_pairs": self._render_pairs,
             },
             "binocal.solvers.covariance": {"cramer_rao_bound": self._bound},
             "binocal.benchmark": {"run": self._bench},
         }
-        for name, content in rooms.items():
+        for name, content in packages.items():
             module = ModuleType(name)
             vars(module).update(content)
             monkeypatch.setitem(sys.modules, name, module)
@@ -126,9 +123,14 @@ class Rooms:
         self.calls["bound"] = {"n_views": len(T_left_board.t), "noise_px": noise_px, "n_seen": int(left_is_seen.sum())}
         return self._calibrate(self.detections, None).covariance
 
-    def _render_image(self, camera, T_camera_board, board, options, rng):
-        noise = rng.integers(0, 255, camera.size_wh[::-1], dtype=np.uint8)
-        return RenderedImage(noise, camera.project(T_camera_board.apply(board.object_points_m)))
+    def _render_pairs(self, scene, options, seed, progress=None):
+        n_views = len(scene.T_left_board.t)
+        for view in range(n_views):
+            for side, camera in (("left", scene.rig.left), ("right", scene.rig.right)):
+                rng = np.random.default_rng(seed.spawn(1)[0])
+                yield view, side, rng.integers(0, 255, camera.size_wh[::-1], dtype=np.uint8)
+            if progress:
+                progress(view + 1, n_views)
 
     def _bench(self, name, *, seed=0):
         if name != "solver":

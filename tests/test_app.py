@@ -11,53 +11,53 @@ from binocal.boards import parse_board
 from binocal.errors import DataError, OutputExistsError, TooFewViewsError
 from binocal.formats import rig_json
 from binocal.metrics.pose import scaled
-from fakes import Rooms
+from fakes import FakePackages
 from rigs import make_poses, make_rig
 
 BOARD = parse_board("chessboard:11x8:10mm")
 
 
 @pytest.fixture
-def rooms(monkeypatch):
-    return Rooms(monkeypatch)
+def fakes(monkeypatch):
+    return FakePackages(monkeypatch)
 
 
 @pytest.fixture
-def truth(rooms):
-    return rig_json.Truth(rooms.rig, BOARD, rooms.detections.names, rooms.poses, 3.0, 0.8)
+def truth(fakes):
+    return rig_json.Truth(fakes.rig, BOARD, fakes.detections.names, fakes.poses, 3.0, 0.8)
 
 
-def test_a_calibration_says_what_became_of_every_file(rooms):
+def test_a_calibration_says_what_became_of_every_file(fakes):
     seen = []
     request = app.CalibrationRequest("brown4", seed=7, progress=lambda *step: seen.append(step))
     run = app.calibrate_images("l", "r", BOARD, request, preprocess=True)
-    assert rooms.calls["list_pairs"] == ("l", "r") and rooms.calls["preprocess"] is True
-    assert rooms.calls["calibrate"] is request and rooms.calls["calibrator"] == "drl"
-    assert run.calibration.rejected == rooms.rejected and run.ignored == (("left99 copy.png", "a copy of left99.png"),)
+    assert fakes.calls["list_pairs"] == ("l", "r") and fakes.calls["preprocess"] is True
+    assert fakes.calls["calibrate"] is request and fakes.calls["calibrator"] == "drl"
+    assert run.calibration.rejected == fakes.rejected and run.ignored == (("left99 copy.png", "a copy of left99.png"),)
     provenance = run.calibration.provenance
     assert provenance["iterations"] == 5 and provenance["seed"] == 7 and provenance["board"] == "chessboard:11x8:10mm"
     assert len(provenance["input_sha256"]["left"]) == 64 and seen == [("finding corners", 6, 6)]
 
 
-def test_what_a_choice_of_views_costs_is_noted(rooms):
-    choose = rooms.calibrate
-    rooms.calibrate = lambda *given: replace(choose(*given), provenance={"view_choice": {"reason": "3 of 6 views"}})
+def test_what_a_choice_of_views_costs_is_noted(fakes):
+    choose = fakes.calibrate
+    fakes.calibrate = lambda *given: replace(choose(*given), provenance={"view_choice": {"reason": "3 of 6 views"}})
     run = app.calibrate_images("l", "r", BOARD, app.CalibrationRequest("brown4", max_views=3))
     assert run.notes[-1] == "3 of 6 views."
 
 
-def test_an_error_carries_what_was_dropped_before_it(rooms):
+def test_an_error_carries_what_was_dropped_before_it(fakes):
     def too_few(*_, **__):
         raise TooFewViewsError(2, 3, {"05": "mismatched pair"})
 
-    rooms.calibrate = too_few
+    fakes.calibrate = too_few
     with pytest.raises(TooFewViewsError) as caught:
         app.calibrate_images("l", "r", BOARD)
     assert caught.value.rejected == {"07": "no board found in the right image", "05": "mismatched pair"}
     assert caught.value.__notes__ == ["ignored left99 copy.png: a copy of left99.png"]
 
 
-def test_a_simulation_is_repeatable_and_complete(rooms, tmp_path):
+def test_a_simulation_is_repeatable_and_complete(fakes, tmp_path):
     truths = [app.simulate(make_rig(), BOARD, 3, tmp_path / name, app.SimulateOptions(seed=5)) for name in "ab"]
     names = sorted(os.listdir(tmp_path / "a"))
     assert names == [*(f"{side}_{i:02d}.png" for side in ("left", "right") for i in range(3)), "truth.json"]
@@ -71,7 +71,7 @@ def test_a_simulation_is_repeatable_and_complete(rooms, tmp_path):
     assert np.abs(other.T_left_board.t - truths[0].T_left_board.t).max() > 1e-4
 
 
-def test_an_interrupted_simulation_leaves_nothing(rooms, tmp_path, monkeypatch):
+def test_an_interrupted_simulation_leaves_nothing(fakes, tmp_path, monkeypatch):
     def interrupt(stage, done, total):
         raise KeyboardInterrupt
 
@@ -80,7 +80,7 @@ def test_an_interrupted_simulation_leaves_nothing(rooms, tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
-def test_force_replaces_the_old_images_and_nothing_else(rooms, tmp_path):
+def test_force_replaces_the_old_images_and_nothing_else(fakes, tmp_path):
     out = tmp_path / "out"
     app.simulate(make_rig(), BOARD, 4, out)
     (out / "mine.txt").write_text("keep")
@@ -97,65 +97,65 @@ def test_force_replaces_the_old_images_and_nothing_else(rooms, tmp_path):
     ]
 
 
-def test_a_board_without_a_size_is_not_simulated(rooms, tmp_path):
+def test_a_board_without_a_size_is_not_simulated(fakes, tmp_path):
     with pytest.raises(ValueError, match="needs its size"):
         app.simulate(make_rig(), parse_board("chessboard:11x8"), 3, tmp_path / "out")
     with pytest.raises(ValueError, match="nothing to render"):
         app.simulate(make_rig(), BOARD, 0, tmp_path / "out")
 
 
-def test_the_truth_is_met_with_the_bound_of_the_views_used(rooms, truth):
+def test_the_truth_is_met_with_the_bound_of_the_views_used(fakes, truth):
     calibration = app.calibrate_images("l", "r", BOARD).calibration
     used = replace(calibration, views=calibration.views[:4])
     evaluation = app.evaluate_truth(used, truth)
     assert evaluation.comparison.rotation_error_deg == 0 and evaluation.comparison.has_bound
-    assert rooms.calls["bound"] == {"n_views": 4, "noise_px": 0.08, "n_seen": 4 * 88} and evaluation.noise_px == 0.08
+    assert fakes.calls["bound"] == {"n_views": 4, "noise_px": 0.08, "n_seen": 4 * 88} and evaluation.noise_px == 0.08
     strangers = replace(calibration, views=tuple(replace(view, name="x") for view in calibration.views))
     assert "no view of the calibration" in app.evaluate_truth(strangers, truth).notes[0]
     fisheye = replace(calibration, rig=make_rig("fisheye4"))
     assert "cannot say" in app.evaluate_truth(fisheye, truth).notes[0]
 
 
-def test_a_rig_in_pitches_is_scaled_by_the_truths_board(rooms, truth):
+def test_a_rig_in_pitches_is_scaled_by_the_truths_board(fakes, truth):
     calibration = app.calibrate_images("l", "r", BOARD).calibration
-    in_pitches = replace(calibration, rig=replace(scaled(rooms.rig, 100.0), is_metric=False))
+    in_pitches = replace(calibration, rig=replace(scaled(fakes.rig, 100.0), is_metric=False))
     evaluation = app.evaluate_truth(in_pitches, truth)
     assert evaluation.comparison.translation_error_mm < 1e-9 and "board pitches" in evaluation.notes[0]
 
 
-def test_images_are_judged_without_truth(rooms):
-    evaluation = app.evaluate_images(rooms.rig, "l", "r", BOARD)
+def test_images_are_judged_without_truth(fakes):
+    evaluation = app.evaluate_images(fakes.rig, "l", "r", BOARD)
     assert evaluation.pixel_error.all_px < 1e-9 and evaluation.length_error.scale_rms_percent < 1e-7
-    assert evaluation.row_error.rms_px < 1e-6 and evaluation.rejected == rooms.rejected
+    assert evaluation.row_error.rms_px < 1e-6 and evaluation.rejected == fakes.rejected
 
 
-def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(rooms):
-    left, right = rooms.detections.left_px.copy(), rooms.detections.right_px.copy()
+def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(fakes):
+    left, right = fakes.detections.left_px.copy(), fakes.detections.right_px.copy()
     left[1], right[1] = np.nan, np.nan
-    rooms.detections = replace(rooms.detections, left_px=left, right_px=right)
-    evaluation = app.evaluate_images(rooms.rig, "l", "r", BOARD)
+    fakes.detections = replace(fakes.detections, left_px=left, right_px=right)
+    evaluation = app.evaluate_images(fakes.rig, "l", "r", BOARD)
     assert np.isnan(evaluation.pixel_error.view_rms_px).tolist() == [False, True] + 4 * [False]
     assert evaluation.pixel_error.n_corners == 5 * 2 * 88 and evaluation.length_error.n_views == 5
 
 
-def test_a_suspect_view_is_named(rooms):
-    right = rooms.detections.right_px + 0.02 * np.random.default_rng(0).standard_normal(rooms.detections.right_px.shape)
+def test_a_suspect_view_is_named(fakes):
+    right = fakes.detections.right_px + 0.02 * np.random.default_rng(0).standard_normal(fakes.detections.right_px.shape)
     right[2] += 3.0
-    rooms.detections = replace(rooms.detections, right_px=right)
-    notes = app.evaluate_images(rooms.rig, "l", "r", BOARD).notes
+    fakes.detections = replace(fakes.detections, right_px=right)
+    notes = app.evaluate_images(fakes.rig, "l", "r", BOARD).notes
     assert [note.split(":")[0] for note in notes if "may not belong together" in note] == ["view 2"]
 
 
-def test_units_and_sizes_must_agree(rooms):
+def test_units_and_sizes_must_agree(fakes):
     with pytest.raises(DataError, match="give the board's length a unit"):
-        app.evaluate_images(rooms.rig, "l", "r", parse_board("chessboard:11x8"))
-    rooms.detections = replace(rooms.detections, right_size_wh=(640, 480))
+        app.evaluate_images(fakes.rig, "l", "r", parse_board("chessboard:11x8"))
+    fakes.detections = replace(fakes.detections, right_size_wh=(640, 480))
     with pytest.raises(DataError, match="right images are 640x480, the rig's right camera is 1280x960"):
-        app.evaluate_images(rooms.rig, "l", "r", BOARD)
+        app.evaluate_images(fakes.rig, "l", "r", BOARD)
 
 
-def test_the_demonstration_compares_both_boards(rooms, tmp_path):
-    rooms.poses = make_poses(6, np.random.default_rng(0))
+def test_the_demonstration_compares_both_boards(fakes, tmp_path):
+    fakes.poses = make_poses(6, np.random.default_rng(0))
     cases = app.demo(tmp_path / "demo", n_pairs=6)
     assert [case.name for case in cases] == ["10mm", "20mm"]
     for case in cases:

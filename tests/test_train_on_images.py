@@ -56,7 +56,7 @@ def test_too_few_images_are_said_before_any_training(images, tmp_path):
         for i in range(8):
             (few / f"{side}_{i:02d}.png").write_bytes((images / f"{side}_{i:02d}.png").read_bytes())
     with pytest.raises(TooFewViewsError, match="12"):
-        app.train(tmp_path / "agent", app.TrainOptions(n_steps=100), data=few, board=BOARD)
+        app.train(tmp_path / "agent", app.TrainRequest(n_steps=100), data=few, board=BOARD)
 
 
 def test_a_folder_says_which_board_it_shows(tmp_path):

@@ -12,16 +12,16 @@ from binocal.cli import main
 from binocal.cli.verbs import Model
 from binocal.formats import rig_json
 from binocal.formats.detections_npz import read_detections
-from fakes import Rooms
+from fakes import FakePackages
 from rigs import make_rig
 
 CALIBRATE = ["calibrate", "--left", "l/*.png", "--right", "r/*.png", "--board", "chessboard:11x8:10mm"]
 
 
 @pytest.fixture
-def rooms(monkeypatch, tmp_path):
+def fakes(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    return Rooms(monkeypatch)
+    return FakePackages(monkeypatch)
 
 
 def one_document(capsys) -> dict:
@@ -33,52 +33,52 @@ def test_models_are_the_registry():
     assert [model.value for model in Model] == ["auto", *CAMERA_MODELS]
 
 
-def test_calibrate_writes_the_rig_and_a_summary(rooms, capsys):
+def test_calibrate_writes_the_rig_and_a_summary(fakes, capsys):
     assert main([*CALIBRATE, "--output", "new/rig.json"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith("warning: left and right look exchanged")
     assert "gamma" in out and "baseline       mm" in out and "Views    6 used, 1 dropped" in out
     assert "07: no board found in the right image" in out and "Wrote    new/rig.json" in out
     assert "ignored left99 copy.png: a copy of left99.png" in err and "dropped 07: no board found" in err
-    assert rig_json.read_rig("new/rig.json").baseline_m == pytest.approx(rooms.rig.baseline_m)
+    assert rig_json.read_rig("new/rig.json").baseline_m == pytest.approx(fakes.rig.baseline_m)
     assert os.listdir("new") == ["rig.json"]
 
 
-def test_json_is_exactly_one_document(rooms, capsys):
+def test_json_is_exactly_one_document(fakes, capsys):
     assert main([*CALIBRATE, "--json"]) == 0
     document = one_document(capsys)
     assert document["schema"] == "binocal/1" and document["output"] == "rig.json" and len(document["views"]) == 6
     assert document["ignored"][0]["path"] == "left99 copy.png" and document["quality"]["is_met"] is True
 
 
-def test_options_reach_the_calibrator(rooms, capsys):
+def test_options_reach_the_calibrator(fakes, capsys):
     assert main([*CALIBRATE, "--model", "brown5", "--skew", "--seed", "3", "--preprocess"]) == 0
-    request = rooms.calls["calibrate"]
-    assert (request.model, request.skew, request.seed) == ("brown5", True, 3) and rooms.calls["calibrator"] == "drl"
-    assert rooms.calls["preprocess"] is True
+    request = fakes.calls["calibrate"]
+    assert (request.model, request.skew, request.seed) == ("brown5", True, 3) and fakes.calls["calibrator"] == "drl"
+    assert fakes.calls["preprocess"] is True
 
 
-def test_nothing_is_overwritten_and_no_work_is_lost(rooms, capsys, tmp_path):
+def test_nothing_is_overwritten_and_no_work_is_lost(fakes, capsys, tmp_path):
     (tmp_path / "rig.json").write_text("old")
     assert main(CALIBRATE) == 3
     out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and "--force" in err and "list_pairs" not in rooms.calls
+    assert out == "" and err.count("\n") == 1 and "--force" in err and "list_pairs" not in fakes.calls
     assert (tmp_path / "rig.json").read_text() == "old"
     assert main([*CALIBRATE, "--force"]) == 0
 
 
-def test_below_the_quality_asked_for(rooms, capsys):
+def test_below_the_quality_asked_for(fakes, capsys):
     assert main([*CALIBRATE, "--max-rms", "0.1"]) == 4
     assert "above --max-rms 0.1" in capsys.readouterr().out and os.path.exists("rig.json")
     assert main([*CALIBRATE, "--max-rms", "0.2", "--force"]) == 0
 
 
-def test_evidence_beside(rooms, capsys):
+def test_evidence_beside(fakes, capsys):
     assert main([*CALIBRATE, "--evidence", "new/corners.npz"]) == 0
     assert "Wrote    rig.json and new/corners.npz" in capsys.readouterr().out
     back = read_detections("new/corners.npz")
-    assert back.names == rooms.detections.names and back.board_spec == "chessboard:11x8:10mm"
-    assert (back.left_px == rooms.detections.left_px).all()
+    assert back.names == fakes.detections.names and back.board_spec == "chessboard:11x8:10mm"
+    assert (back.left_px == fakes.detections.left_px).all()
     assert main([*CALIBRATE, "--output", "b.json", "--evidence", "new/corners.npz"]) == 3 and not os.path.exists(
         "b.json"
     )
@@ -88,7 +88,7 @@ def test_evidence_beside(rooms, capsys):
     assert one_document(capsys)["evidence"] == "new/corners.npz"
 
 
-def test_opencv_beside(rooms, capsys):
+def test_opencv_beside(fakes, capsys):
     assert main([*CALIBRATE, "--opencv", "rig.yml"]) == 0
     assert main([*CALIBRATE, "--force", "--opencv", "rig.yml", "--skew"]) == 2
     assert main([*CALIBRATE, "--output", "b.json", "--opencv", "rig.yml"]) == 3 and not os.path.exists("b.json")
@@ -107,11 +107,11 @@ def test_opencv_beside(rooms, capsys):
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_every_error_is_one_line_and_one_document(rooms, capsys, error, exit_code, code):
+def test_every_error_is_one_line_and_one_document(fakes, capsys, error, exit_code, code):
     def fail(*_, **__):
         raise error
 
-    rooms.calibrate = fail
+    fakes.calibrate = fail
     assert main(CALIBRATE) == exit_code
     out, err = capsys.readouterr()
     assert out == "" and "Traceback" not in err and err.splitlines()[-1].startswith("binocal: ")
@@ -121,11 +121,11 @@ def test_every_error_is_one_line_and_one_document(rooms, capsys, error, exit_cod
     assert os.listdir() == []
 
 
-def test_an_error_lists_what_was_dropped(rooms, capsys):
+def test_an_error_lists_what_was_dropped(fakes, capsys):
     def fail(*_, **__):
         raise errors.TooFewViewsError(2, 3, {"05": "mismatched pair"})
 
-    rooms.calibrate = fail
+    fakes.calibrate = fail
     main([*CALIBRATE, "--json"])
     out, err = capsys.readouterr()
     error = json.loads(out)["error"]
@@ -142,11 +142,11 @@ def test_an_error_lists_what_was_dropped(rooms, capsys):
     ]
 
 
-def test_a_bug_is_not_dressed_up(rooms, capsys):
+def test_a_bug_is_not_dressed_up(fakes, capsys):
     def fail(*_, **__):
         raise ZeroDivisionError("a bug")
 
-    rooms.calibrate = fail
+    fakes.calibrate = fail
     with pytest.raises(ZeroDivisionError):
         main([*CALIBRATE, "--json"])
     assert one_document(capsys)["error"]["code"] == "internal"
@@ -169,7 +169,7 @@ def test_a_bug_is_not_dressed_up(rooms, capsys):
         ["bench", "nope"],
     ],
 )
-def test_wrong_usage(rooms, capsys, arguments):
+def test_wrong_usage(fakes, capsys, arguments):
     assert main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and "--help" in err
@@ -185,7 +185,7 @@ def test_without_arguments_help_is_shown(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("binocal ")
 
 
-def test_simulate_then_evaluate_against_the_truth(rooms, capsys):
+def test_simulate_then_evaluate_against_the_truth(fakes, capsys):
     assert main(["simulate", "--board", "chessboard:11x8:10mm", "--pairs", "6", "--output", "out"]) == 0
     assert "6 pairs" in capsys.readouterr().out
     assert main(CALIBRATE) == 0
@@ -199,7 +199,7 @@ def test_simulate_then_evaluate_against_the_truth(rooms, capsys):
     assert one_document(capsys)["parameter_accuracy_percent"] == 100
 
 
-def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
+def test_simulate_takes_a_rig_file_and_says_what_it_did(fakes, capsys):
     rig_json.write_calibration("rig.json", app.calibrate_images("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["simulate", "--rig", "rig.json", "--board", "chessboard:11x8:10mm", "--pairs", "2", "--output", "out"]
     assert main([*arguments, "--json"]) == 0
@@ -209,7 +209,7 @@ def test_simulate_takes_a_rig_file_and_says_what_it_did(rooms, capsys):
     assert main([*arguments[:2], "no.json", *arguments[3:], "--force"]) == 3
 
 
-def test_evaluate_on_images(rooms, capsys):
+def test_evaluate_on_images(fakes, capsys):
     rig_json.write_calibration("rig.json", app.calibrate_images("l", "r", Board.from_spec(CALIBRATE[-1])).calibration)
     arguments = ["evaluate", "rig.json", *CALIBRATE[1:]]
     assert main(arguments) == 0
@@ -220,7 +220,7 @@ def test_evaluate_on_images(rooms, capsys):
 
 
 @pytest.mark.slow
-def test_demo(rooms, capsys):
+def test_demo(fakes, capsys):
     assert main(["demo", "--output", "demo"]) == 0
     out = capsys.readouterr().out
     assert "10mm board: 6 pairs" in out and "20mm board" in out and "left.fx px" in out
@@ -230,15 +230,15 @@ def test_demo(rooms, capsys):
     assert [case["board"] for case in one_document(capsys)["cases"]] == ["10mm", "20mm"]
 
 
-def test_bench_prints_its_rows(rooms, capsys):
+def test_bench_prints_its_rows(fakes, capsys):
     assert main(["bench", "solver"]) == 0
     assert capsys.readouterr().out == "20 pairs: 18.8 times\n"
     assert main(["bench", "solver", "--json"]) == 0
     assert one_document(capsys) == {"benchmark": "solver", "seed": 0, "rows": [{"pairs": 20}]}
 
 
-def test_unknown_scale_is_in_squares(rooms, capsys):
-    rooms.rig = make_rig(t=(-3.0, 0.0, 0.1), is_metric=False)
+def test_unknown_scale_is_in_squares(fakes, capsys):
+    fakes.rig = make_rig(t=(-3.0, 0.0, 0.1), is_metric=False)
     assert main(CALIBRATE) == 0
     out = capsys.readouterr().out
     assert "squares" in out and " mm" not in out

@@ -6,23 +6,11 @@ Each verb takes plain values, returns one, and neither prints nor reads the envi
 
 from __future__ import annotations
 
-from binocal.app.road import (
-    CalibrationRun,
-    DemoCase,
-    ImageEvaluation,
-    Progress,
-    ShouldStop,
-    SimulateOptions,
-    TruthEvaluation,
-    calibrate_images,
-    check_output_folder,
-    demo,
-    evaluate_images,
-    evaluate_truth,
-    simulate,
-    staged_folder,
-)
-from binocal.app.training import TrainedAgent, TrainOptions, board_of_folder, train
+from binocal.app.calibrate import CalibrationRun, calibrate_images
+from binocal.app.demo import DemoCase, demo
+from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_images, evaluate_truth
+from binocal.app.simulate import SimulateOptions, simulate
+from binocal.app.train import TrainedAgent, TrainRequest, board_of_folder, train
 from binocal.calibrators.base import CalibrationRequest
 
 __all__ = [
@@ -30,19 +18,15 @@ __all__ = [
     "CalibrationRun",
     "DemoCase",
     "ImageEvaluation",
-    "Progress",
-    "ShouldStop",
     "SimulateOptions",
-    "TrainOptions",
+    "TrainRequest",
     "TrainedAgent",
     "TruthEvaluation",
     "board_of_folder",
     "calibrate_images",
-    "check_output_folder",
     "demo",
     "evaluate_images",
     "evaluate_truth",
     "simulate",
-    "staged_folder",
     "train",
 ]

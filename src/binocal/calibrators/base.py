@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from binocal.errors import CancelledError
 from binocal.evidence import Detections
+from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import StereoCalibration
 
 MIN_VIEWS = 3  # two views determine four intrinsics and leave nothing to check them with
-
-ProgressCallback = Callable[[str, int, int], None]
-"""Called with (what, done, total)."""
-
-ShouldStop = Callable[[], bool]
-"""Asked between the parts of a calibration; True ends it with :class:`binocal.errors.CancelledError`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

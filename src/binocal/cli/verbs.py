@@ -75,8 +75,9 @@ def demo(
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
+    from binocal.output import check_output_folder
 
-    verbs.check_output_folder(output, force=force)
+    check_output_folder(output, force=force)
     with progress_on_terminal() as progress:
         cases = verbs.demo(output, seed=seed, force=force, progress=progress)
     _present(documents.demo_document(cases), tables.demo_text(cases, output), json)
@@ -137,7 +138,7 @@ def calibrate(
     from binocal.formats import rig_json
     from binocal.formats.detections_npz import write_detections
     from binocal.formats.opencv_yaml import check_opencv_output, write_opencv
-    from binocal.formats.output import check_output
+    from binocal.output import check_output
 
     parsed = _parse_board(board)
     _check_calibrator(calibrator)
@@ -190,11 +191,12 @@ def simulate(
     from binocal import app as verbs
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
+    from binocal.output import check_output_folder
 
     parsed = _parse_board(board)
     if not parsed.is_metric:
         raise typer.BadParameter("a simulated board needs its size: give the length a unit, such as 20mm.")
-    verbs.check_output_folder(output, force=force)
+    check_output_folder(output, force=force)
     options = verbs.SimulateOptions(blur, noise, seed)
     if rig == "table2":
         from binocal.simulation import table2_rig
@@ -301,7 +303,7 @@ def train(
 
     if data is None and board is not None:
         raise typer.BadParameter("--board is that of the images in --data DIR; simulated rigs have theirs.")
-    options = verbs.TrainOptions(
+    options = verbs.TrainRequest(
         _one_of("--agent", agent, ("drl", "drl-increments")),
         _one_of("--targets", targets, ("soft", "hard")),
         steps,

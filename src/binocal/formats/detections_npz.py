@@ -23,7 +23,7 @@ from numpy import ndarray
 
 from binocal.errors import DataError, FormatError
 from binocal.evidence import Detections
-from binocal.formats.output import write_aside
+from binocal.output import write_aside
 
 SCHEMA, VERSION = "binocal/detections", 1
 HEADER = "header"

@@ -20,8 +20,8 @@ from numpy import ndarray
 
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import DataError, FormatError
-from binocal.formats.output import check_output, write_aside
 from binocal.geometry import SE3
+from binocal.output import check_output, write_aside
 from binocal.rectification import rectify
 from binocal.shapes import Float
 

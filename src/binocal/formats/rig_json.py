@@ -21,8 +21,8 @@ import numpy as np
 from binocal.boards import Board, format_board, parse_board
 from binocal.cameras import CAMERA_MODELS, Camera, StereoRig
 from binocal.errors import FormatError
-from binocal.formats.output import write_aside
 from binocal.geometry import SE3
+from binocal.output import write_aside
 from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 
 SCHEMA = "binocal/1"

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy import ndarray
 
+from binocal.boards import Board
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.metrics import image
 from binocal.result import Covariance
-from binocal.shapes import Float
+from binocal.shapes import Bool, Float
+from binocal.simulation import sample_board_poses
 from binocal.solvers.poses import estimate_board_poses
 
-if TYPE_CHECKING:
-    from numpy import ndarray
-
+HELD_OUT_STREAM = 999  # far from the streams that rendered views are drawn from
 N_BOUND_RIGS = 40  # rigs drawn from the bound; its RMS is then known to 11 %
 
 
@@ -66,6 +66,26 @@ def criteria_on_exact_views(
         Criterion(name, unit, float(value), float(limit))
         for (name, unit), value, limit in zip(labels, values, bounds, strict=True)
     )
+
+
+def exact_views(rig: StereoRig, board: Board, n_views: int, seed: int) -> tuple[Detections, SE3]:
+    """Exact corners of new views of a board by a rig, NaN outside the images, and the board's poses in the left frame."""
+    points = board.object_points_m
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(HELD_OUT_STREAM,)))
+    T_left_board = sample_board_poses(rig, board, n_views, rng)
+    sides = []
+    for camera, poses in ((rig.left, T_left_board), (rig.right, rig.T_right_left @ T_left_board)):
+        pixels = camera.project(poses.apply(points))
+        pixels[~is_inside(pixels, camera.size_wh)] = np.nan
+        sides.append(pixels)
+    exact = Detections.from_arrays(points, sides[0], sides[1], rig.left.size_wh, right_image_size_wh=rig.right.size_wh)
+    return exact, T_left_board
+
+
+def is_inside(pixels: Float[ndarray, "*n 2"], size_wh: tuple[int, int]) -> Bool[ndarray, "*n"]:
+    """Which points lie in an image of that size; its outermost pixels count to their edges. False where NaN."""
+    with np.errstate(invalid="ignore"):
+        return np.all((pixels >= -0.5) & (pixels <= np.array(size_wh) - 0.5), axis=-1)
 
 
 def draw_rigs(truth: StereoRig, covariance: Covariance, n: int, rng: np.random.Generator) -> list[StereoRig]:

@@ -18,6 +18,7 @@ from binocal.simulation.corruptions import (
 )
 from binocal.simulation.layout import printed_extent_m
 from binocal.simulation.noise import add_outliers, drop_corners, simulate_detections
+from binocal.simulation.pairs import render_pairs
 from binocal.simulation.renderer import RenderedImage, RenderOptions, render_image, render_light
 from binocal.simulation.rigs import random_rig, table2_rig
 from binocal.simulation.scenes import (
@@ -49,6 +50,7 @@ __all__ = [
     "random_rig",
     "render_image",
     "render_light",
+    "render_pairs",
     "repeat_view",
     "same_pose",
     "sample_board_poses",

@@ -5,8 +5,8 @@ import stat
 
 import pytest
 
+from binocal import output
 from binocal.errors import DataError, OutputExistsError
-from binocal.formats import output
 
 
 def test_writes_and_leaves_no_second_file(tmp_path):

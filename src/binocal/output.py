@@ -1,10 +1,12 @@
-"""Writing a file so that it is either there in full or not at all."""
+"""Where output may be written, and writing it so that it is either there in full or not at all: files and folders."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from binocal.errors import DataError, OutputExistsError
@@ -54,6 +56,50 @@ def write_aside(path: str | Path, content: str | bytes, *, force: bool = False) 
         if isinstance(error, OSError):
             raise DataError(f"{path}: cannot be written: {error.strerror}.") from None
         raise
+
+
+def check_output_folder(output: str | Path, *, force: bool = False) -> Path:
+    """The folder as a :class:`Path`, once it is known that results may be put into it.
+
+    Raises:
+        OutputExistsError: It holds files and ``force`` is False.
+        DataError: It is a file, or cannot be made.
+    """
+    output = Path(output)
+    if output.exists() and not output.is_dir():
+        raise DataError(f"{output} is a file; name a folder for the output.")
+    if output.is_dir() and any(output.iterdir()) and not force:
+        raise OutputExistsError(output)
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{output.parent}: the output's folder cannot be made: {error.strerror}.") from None
+    return output
+
+
+@contextlib.contextmanager
+def staged_folder(
+    output: str | Path, *, force: bool = False, before_move: Callable[[Path], None] | None = None, last: str = ""
+) -> Iterator[Path]:
+    """A temporary folder beside ``output``; its files move there if the block ends well, and vanish if it does not.
+
+    ``before_move`` is called with ``output`` just before, to remove what the new files replace; ``last`` names the file that is
+    moved after all others, so that its presence says that all are there.
+    """
+    output = check_output_folder(output, force=force)
+    try:
+        aside = Path(tempfile.mkdtemp(prefix=f".{output.name}.", suffix=".part", dir=output.parent))
+    except OSError as error:
+        raise DataError(f"{output.parent}: the output's folder cannot be written to: {error.strerror}.") from None
+    try:
+        yield aside
+        output.mkdir(exist_ok=True)
+        if before_move is not None:
+            before_move(output)
+        for file in sorted(aside.iterdir(), key=lambda path: path.name == last):
+            os.replace(file, output / file.name)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _umask() -> int:

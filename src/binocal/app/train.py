@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from binocal import __version__
-from binocal.app.road import Progress, ShouldStop, detect_corners
+from binocal.app.corners import detect_corners
 from binocal.boards import Board, load_board
 from binocal.errors import DataError, FormatError, MissingExtraError, TooFewViewsError
 from binocal.evidence import Detections
 from binocal.formats import rig_json
+from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import StereoCalibration
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ MODEL_OF_REAL_RIGS = "brown4"
 
 
 @dataclass(frozen=True, slots=True)
-class TrainOptions:
+class TrainRequest:
     """How to train: which agent, targets, steps of single rigs, a time limit, nodes per layer, evaluation rigs, seed.
 
     Without ``n_steps`` as many as the shipped agent took.
@@ -57,13 +58,13 @@ class TrainedAgent:
 
 def train(
     output: str | Path,
-    options: TrainOptions | None = None,
+    options: TrainRequest | None = None,
     *,
     data: str | Path | None = None,
     board: Board | None = None,
     beside: Sequence[str | Path] = (),
     force: bool = False,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     should_stop: ShouldStop | None = None,
 ) -> TrainedAgent:
     """Train an agent into ``output``; a run that was cut there goes on where it was.
@@ -78,7 +79,7 @@ def train(
         OutputExistsError: ``output`` holds other files than a run's, or a complete run, and ``force`` is False.
         DataError: The images cannot be used, the run in ``output`` had other options, or a folder ``beside`` holds no run.
     """
-    options = options or TrainOptions()
+    options = options or TrainRequest()
     try:
         from binocal.rl.training import run_folder
     except ModuleNotFoundError as error:
@@ -146,7 +147,7 @@ def _image_patterns(folder: Path) -> tuple[str, str]:
     return str(folder / "left*"), str(folder / "right*")
 
 
-def _training_options(options: TrainOptions) -> TrainingOptions:
+def _training_options(options: TrainRequest) -> TrainingOptions:
     from binocal.rl.agent_kind import AgentKind
     from binocal.rl.training.trainer import default_options
 
@@ -158,7 +159,7 @@ def _training_options(options: TrainOptions) -> TrainingOptions:
 
 
 def _on_real_views(
-    half: Detections, test: Detections, chosen: TrainingOptions, options: TrainOptions
+    half: Detections, test: Detections, chosen: TrainingOptions, options: TrainRequest
 ) -> tuple[TrainingOptions, Any, EvaluationSet]:
     """Pools drawn from one half of the views, the evaluation_set from the other; networks by the amount unless layers were given."""
     from binocal.calibrators import calibrate
@@ -189,7 +190,7 @@ def _on_real_views(
     return replace(chosen, rigs_per_pool=REAL_RIGS), pools, evaluation_set
 
 
-def _command(options: TrainOptions, is_real: bool) -> str:
+def _command(options: TrainRequest, is_real: bool) -> str:
     parts = ["binocal train", f"--agent {options.agent}", f"--targets {options.targets}"]
     if options.n_steps is not None:
         parts.append(f"--steps {options.n_steps}")

@@ -1,0 +1,95 @@
+"""``binocal calibrate``: from images of a board to a rig."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+from binocal.app.corners import explained, find_corners
+from binocal.boards import Board
+from binocal.calibrators.base import CalibrationRequest
+from binocal.evidence import Detections
+from binocal.formats import rig_json
+from binocal.result import StereoCalibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationRun:
+    """A calibration from images: the result, and what became of every file.
+
+    ``ignored`` holds (path, reason) of files left out of the pairing; ``notes`` are remarks that need no action.
+    """
+
+    calibration: StereoCalibration
+    ignored: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    elapsed_s: Mapping[str, float] = field(default_factory=dict)
+    detections: Detections | None = None
+    """All corners as detected, those of rejected views too."""
+
+
+def calibrate_images(
+    left: str,
+    right: str,
+    board: Board,
+    request: CalibrationRequest | None = None,
+    *,
+    calibrator: str = "drl",
+    preprocess: bool = False,
+) -> CalibrationRun:
+    """Calibrate from the images that two globs or folders name; ``preprocess`` strengthens their edges first.
+
+    Raises:
+        DataError: The images cannot be used.
+        CalibrationError: No trustworthy rig follows from them.
+        CancelledError: ``request.should_stop`` returned True.
+    """
+    request = request or CalibrationRequest()
+    started = time.perf_counter()
+    with ThreadPoolExecutor(1) as aside:
+        # What the solver needs is loaded while the first images are, of which one core is enough.
+        loading = aside.submit(_load_calibrator, calibrator)
+        found = find_corners(left, right, board, preprocess, request.progress, request.should_stop)
+        calibrate = loading.result()
+    detections = replace(found.detections, board_spec=rig_json.format_board(board))
+    detected = time.perf_counter()
+    inputs = {
+        "opencv": _opencv_version(),
+        "board": detections.board_spec,
+        "preprocess": preprocess,
+        "input_sha256": dict(found.input_sha256),
+    }
+    with explained(found.ignored, found.rejected):
+        calibration = calibrate(detections, request, calibrator=calibrator, inputs=inputs)
+    solved = time.perf_counter()
+    calibration = replace(calibration, rejected=found.rejected + calibration.rejected)
+    choice = calibration.provenance.get("view_choice")
+    notes = (*found.notes, f"{choice['reason']}.") if choice else found.notes
+    elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
+    return CalibrationRun(calibration, found.ignored, notes, elapsed_s, detections)
+
+
+def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:
+    """The calibrating function, with the method's own modules in memory."""
+    from binocal.calibrators import CALIBRATORS, calibrate_as_requested
+
+    if name in CALIBRATORS:
+        CALIBRATORS[name]()
+    return calibrate_as_requested
+
+
+def _opencv_version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    for package in (
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+    ):
+        with contextlib.suppress(PackageNotFoundError):
+            return version(package)
+    return "unknown"

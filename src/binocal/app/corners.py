@@ -1,0 +1,83 @@
+"""From two sets of image files to corners, with what became of every file."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from binocal.boards import Board
+from binocal.errors import BinocalError, CalibrationError
+from binocal.evidence import Detections
+from binocal.progress import ProgressCallback, ShouldStop, stage_of
+from binocal.result import RejectedView
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCorners:
+    """What two sets of images gave."""
+
+    detections: Detections
+    rejected: tuple[RejectedView, ...]
+    ignored: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+    input_sha256: Mapping[str, str]
+
+
+def find_corners(
+    left: str,
+    right: str,
+    board: Board,
+    preprocess: bool,
+    progress: ProgressCallback | None,
+    should_stop: ShouldStop | None,
+) -> FoundCorners:
+    """The corners of all pairs that two globs or folders name.
+
+    Raises:
+        DataError: The images cannot be used; the error carries what was ignored before.
+        CancelledError: ``should_stop`` returned True.
+    """
+    from binocal.datasets.folder import list_pairs
+    from binocal.detection import detect_pairs
+
+    pairing = list_pairs(left, right)
+    ignored = tuple((str(path), reason) for path, reason in pairing.ignored)
+    with explained(ignored, ()):
+        found = detect_pairs(
+            pairing.pairs,
+            board,
+            progress=stage_of(progress, "finding corners"),
+            should_stop=should_stop,
+            preprocess=preprocess,
+        )
+    return FoundCorners(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
+
+
+def detect_corners(
+    left: str,
+    right: str,
+    board: Board,
+    *,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+) -> Detections:
+    """The corners of all pairs in which the board was found.
+
+    Raises:
+        DataError: The images cannot be used.
+    """
+    return find_corners(left, right, board, False, progress, should_stop).detections
+
+
+@contextlib.contextmanager
+def explained(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedView]) -> Iterator[None]:
+    """An error that leaves the block also carries what was ignored and rejected before it."""
+    try:
+        yield
+    except BinocalError as error:
+        if isinstance(error, CalibrationError):
+            error.rejected = {view.name: view.reason for view in rejected} | error.rejected
+        for path, reason in ignored:
+            error.add_note(f"ignored {path}: {reason}")
+        raise

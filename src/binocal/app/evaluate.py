@@ -1,0 +1,184 @@
+"""``binocal evaluate``: a rig against the truth, or on images of a board that it has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from binocal.app.corners import FoundCorners, find_corners
+from binocal.boards import Board
+from binocal.cameras import StereoRig
+from binocal.errors import CalibrationError, DataError
+from binocal.evidence import Detections
+from binocal.formats import rig_json
+from binocal.progress import ProgressCallback, ShouldStop
+from binocal.result import Covariance, RejectedView, StereoCalibration
+
+if TYPE_CHECKING:
+    from binocal.metrics import image, pose
+    from binocal.metrics.held_out import Criterion
+
+EXACT_VIEWS = 20
+SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthEvaluation:
+    """A calibration against the truth of a simulation. ``notes`` say what could not be compared, and why."""
+
+    comparison: pose.TruthComparison
+    noise_px: float
+    """Corner noise, one standard deviation per coordinate, that the bound is computed for; NaN without a bound."""
+    notes: tuple[str, ...] = ()
+    criteria: tuple[Criterion, ...] = ()
+    """The paper's criteria on exact new views of the true rig."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageEvaluation:
+    """A rig on images of a board, best on images that the calibration has not seen."""
+
+    pixel_error: image.PixelError
+    row_error: image.RowError | None
+    length_error: image.LengthError
+    names: tuple[str, ...]
+    rejected: tuple[RejectedView, ...] = ()
+    ignored: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, seed: int = 0) -> TruthEvaluation:
+    """Errors of a calibration whose truth is known, each beside its Cramér-Rao bound.
+
+    The bound is that of the views which the calibration used, for the corner noise that it measured. The criteria are measured on
+    exact new views of the true rig, drawn from ``seed``.
+    """
+    from binocal.metrics import pose
+    from binocal.metrics.held_out import criteria_on_exact_views, exact_views
+
+    rig, notes = calibration.rig, []
+    sigma = calibration.covariance.sigma
+    if not rig.is_metric:
+        scale = truth.board.pitch_m
+        rig = pose.scaled(rig, scale)
+        sigma = {name: s * scale if name.startswith("translation.") else s for name, s in sigma.items()}
+        notes.append("the rig is in board pitches; it was scaled by the pitch of the truth's board.")
+    has_skew = "left.skew" in calibration.covariance.names
+    bounded = _bound(calibration, truth, has_skew, notes)
+    bound = None if bounded is None else bounded[1]
+    comparison = pose.compare_with_truth(rig, truth.rig, sigma=sigma, bound=bound, has_skew=has_skew)
+    exact, T_left_board = exact_views(truth.rig, truth.board, EXACT_VIEWS, seed)
+    criteria = criteria_on_exact_views(
+        rig, exact, T_left_board, _side_m(truth.board), bounded, np.random.default_rng(seed)
+    )
+    noise_px = calibration.noise_px if bound is not None else float("nan")
+    return TruthEvaluation(comparison, noise_px, tuple(notes), criteria)
+
+
+def evaluate_images(
+    rig: StereoRig,
+    left: str,
+    right: str,
+    board: Board,
+    *,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+) -> ImageEvaluation:
+    """Pixel error, rectified row error and measured lengths of a rig on images of a board.
+
+    Raises:
+        DataError: The images cannot be used, their size is not the rig's, or the board lacks the length it needs.
+    """
+    if rig.is_metric and not board.is_metric:
+        raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
+    found = find_corners(left, right, board, False, progress, should_stop)
+    notes = list(found.notes)
+    detections, side_m = found.detections, _side_m(board)
+    for side, camera, size_wh in (
+        ("left", rig.left, detections.left_size_wh),
+        ("right", rig.right, detections.right_size_wh),
+    ):
+        if camera.size_wh != size_wh:
+            raise DataError(
+                f"the {side} images are {size_wh[0]}x{size_wh[1]}, the rig's {side} camera is "
+                f"{camera.size_wh[0]}x{camera.size_wh[1]}; use images of the size that was calibrated."
+            )
+    if board.is_metric and not rig.is_metric:
+        detections = replace(detections, object_points_m=detections.object_points_m / board.pitch_m, is_metric=False)
+        side_m /= board.pitch_m
+        notes.append("the rig is in board pitches: lengths are compared as if this board had calibrated it.")
+    return _evaluate_detections(rig, detections, side_m, found, notes)
+
+
+def _evaluate_detections(
+    rig: StereoRig, detections: Detections, side_m: float, found: FoundCorners, notes: list[str]
+) -> ImageEvaluation:
+    from binocal.metrics import image
+    from binocal.metrics.order import order_corners
+
+    ordered = order_corners(rig, detections)
+    detections = ordered.detections
+    notes += ordered.notes
+    pixel_error = image.pixel_error(rig, detections, ordered.T_left_board)
+    usual_px = float(np.nanmedian(pixel_error.view_rms_px))
+    for name, rms_px in zip(detections.names, pixel_error.view_rms_px, strict=True):
+        if rms_px > SUSPECT_VIEW_FACTOR * usual_px:
+            notes.append(
+                f"view {name}: {rms_px:.3g} px against {usual_px:.3g} px in the median view: "
+                "its images may not belong together, or its corners are wrong."
+            )
+    try:
+        row_error = image.rectified_row_error(rig, detections)
+    except CalibrationError as error:
+        row_error = None
+        notes.append(f"no row error: {error}")
+    lengths = image.length_error(rig, detections, side_m=side_m)
+    return ImageEvaluation(
+        pixel_error, row_error, lengths, detections.names, found.rejected, found.ignored, tuple(notes)
+    )
+
+
+def _bound(
+    calibration: StereoCalibration, truth: rig_json.Truth, has_skew: bool, notes: list[str]
+) -> tuple[StereoRig, Covariance] | None:
+    """The true rig in the camera model that was estimated, and the Cramér-Rao bound there; None, with a note, without one."""
+    from binocal.metrics import pose
+    from binocal.metrics.held_out import is_inside
+    from binocal.solvers.covariance import cramer_rao_bound
+
+    left = pose.in_model(truth.rig.left, calibration.rig.left.model)
+    right = pose.in_model(truth.rig.right, calibration.rig.right.model)
+    if left is None or right is None:
+        notes.append(
+            f"no bound: the rig's lens model {calibration.rig.left.model} cannot say what the true one "
+            f"({truth.rig.left.model}) does."
+        )
+        return None
+    if not calibration.noise_px > 0:
+        notes.append("no bound: the calibration does not state its corner noise.")
+        return None
+    used = {view.name for view in calibration.views}
+    chosen = [i for i, name in enumerate(truth.names) if name in used]
+    if not chosen:
+        notes.append("no bound: no view of the calibration has a name that the truth knows.")
+        return None
+    rig = replace(truth.rig, left=left, right=right)
+    poses = truth.T_left_board[chosen]
+    points = truth.board.object_points_m
+    bound = cramer_rao_bound(
+        rig,
+        points,
+        poses,
+        calibration.noise_px,
+        left_is_seen=is_inside(rig.left.project(poses.apply(points)), rig.left.size_wh),
+        right_is_seen=is_inside(rig.right.project((rig.T_right_left @ poses).apply(points)), rig.right.size_wh),
+        skew=has_skew,
+    )
+    return rig, bound
+
+
+def _side_m(board: Board) -> float:
+    """Distance of neighbouring points of the board, metres."""
+    return board.pitch_m * (np.sqrt(2) if board.kind == "acircles" else 1.0)
