@@ -21,9 +21,24 @@
 Each exception carries its figures as fields; its text says what happened, where, and what to do.
 """
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class BinocalError(Exception):
-    """Base of every error that binocal raises on purpose."""
+    """Base of every error that binocal raises on purpose. Its text and its fields survive pickling and copying."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A constructor that takes fields cannot be called with the text that Exception keeps."""
+        return _rebuilt, (type(self), self.args, self.__dict__)
+
+
+def _rebuilt(kind: type[BinocalError], args: tuple[Any, ...], fields: dict[str, Any]) -> BinocalError:
+    error = kind.__new__(kind, *args)
+    error.args = args
+    error.__dict__.update(fields)
+    return error
 
 
 class DataError(BinocalError):

@@ -14,6 +14,7 @@ from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
+from binocal.values import ArrayValue, frozen_array
 
 SAME_RMS_PX, SAME_RMS_SHARE = (
     1e-7,
@@ -23,7 +24,7 @@ _NOT_THESE = "these are not the corners that the calibration was made from"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Covariance:
+class Covariance(ArrayValue):
     """Covariance of the rig's estimated parameters, by name.
 
     Names: ``left.fx`` … ``left.k1`` …, ``right.…``, ``rotation.x/y/z`` (a small rotation vector in radians that
@@ -35,10 +36,9 @@ class Covariance:
     matrix: Float[ndarray, "p p"]
 
     def __post_init__(self) -> None:
-        matrix = np.array(self.matrix, dtype=float)
+        matrix = frozen_array(self.matrix)
         if matrix.shape != (len(self.names),) * 2:
             raise ValueError(f"{len(self.names)} names for a covariance of shape {matrix.shape}")
-        matrix.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
 
     @property

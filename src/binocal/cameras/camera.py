@@ -9,10 +9,11 @@ from numpy import ndarray
 
 from binocal.cameras.models import CameraModel, camera_model
 from binocal.shapes import Float
+from binocal.values import ArrayValue, frozen_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(ArrayValue):
     """A camera model with its numbers.
 
     ``parameters`` = fx, fy, cx, cy, skew (pixels), then the distortion in OpenCV's order.
@@ -25,7 +26,7 @@ class Camera:
     parameters: Float[ndarray, "p"]
 
     def __post_init__(self) -> None:
-        parameters = np.array(self.parameters, dtype=float)
+        parameters = frozen_array(self.parameters)
         expected = self._functions.n_parameters
         if parameters.shape != (expected,):
             raise ValueError(
@@ -36,7 +37,6 @@ class Camera:
         width, height = (int(n) for n in self.size_wh)
         if width < 1 or height < 1:
             raise ValueError(f"size_wh must be positive; got {self.size_wh}")
-        parameters.setflags(write=False)
         object.__setattr__(self, "parameters", parameters)
         object.__setattr__(self, "size_wh", (width, height))
 

@@ -8,10 +8,11 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Bool, Float
+from binocal.values import ArrayValue, frozen_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundBoard:
+class FoundBoard(ArrayValue):
     """The board's points in one image, in the board's own order.
 
     ``points_px`` is NaN where a point was not seen, all NaN where the board was not found; ``reason`` then says why,
@@ -28,9 +29,7 @@ class FoundBoard:
 
     def __post_init__(self) -> None:
         for name in ("points_px", "covariance_px2"):
-            array = np.array(getattr(self, name), dtype=float)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
         if self.points_px.ndim != 2 or self.covariance_px2.shape != (*self.points_px.shape, 2):
             raise ValueError(
                 f"points (n, 2) need covariances (n, 2, 2); got {self.points_px.shape}, {self.covariance_px2.shape}"

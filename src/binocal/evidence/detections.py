@@ -11,10 +11,11 @@ from numpy import ndarray
 
 from binocal.errors import DataError
 from binocal.shapes import Bool, Float, Int
+from binocal.values import ArrayValue, frozen_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
+class Detections(ArrayValue):
     """Corners of ``n_views`` views of one board of n points in two cameras.
 
     NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points
@@ -36,9 +37,7 @@ class Detections:
     def __post_init__(self) -> None:
         arrays = {}
         for name in ("object_points_m", "left_px", "right_px"):
-            array = np.array(getattr(self, name), dtype=float)
-            array.setflags(write=False)
-            arrays[name] = array
+            array = arrays[name] = frozen_array(getattr(self, name))
             object.__setattr__(self, name, array)
         points, left, right = arrays.values()
         if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
@@ -78,7 +77,7 @@ class Detections:
         for side in ("left", "right"):
             if getattr(self, f"{side}_covariance_px2") is None:
                 continue
-            covariance = np.array(getattr(self, f"{side}_covariance_px2"), dtype=float)
+            covariance = frozen_array(getattr(self, f"{side}_covariance_px2"))
             if covariance.shape != (*self.left_px.shape, 2):
                 raise ValueError(f"{side} covariances must be {(*self.left_px.shape, 2)}; got {covariance.shape}")
             xx, xy, yx, yy = (covariance[..., i, j] for i in (0, 1) for j in (0, 1))
@@ -90,7 +89,6 @@ class Detections:
                 raise ValueError(
                     f"{side} view {self.names[view]}, corner {corner}: not a covariance (NaN where unknown)"
                 )
-            covariance.setflags(write=False)
             object.__setattr__(self, f"{side}_covariance_px2", covariance)
 
     @staticmethod

@@ -9,10 +9,11 @@ from numpy import ndarray
 
 from binocal.geometry import so3
 from binocal.shapes import Float
+from binocal.values import ArrayValue, frozen_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SE3:
+class SE3(ArrayValue):
     """A rigid transform ``x_a = R x_b + t``, or a batch of them (leading dimensions).
 
     ``t`` is in metres wherever the scale is known. ``R`` must be a rotation within 1e-6.
@@ -22,13 +23,11 @@ class SE3:
     t: Float[ndarray, "*batch 3"]
 
     def __post_init__(self) -> None:
-        R, t = np.array(self.R, dtype=float), np.array(self.t, dtype=float)
+        R, t = frozen_array(self.R), frozen_array(self.t)
         if R.shape[-2:] != (3, 3) or t.shape != R.shape[:-1]:
             raise ValueError(f"SE3 expects R (..., 3, 3) and t (..., 3); got {R.shape} and {t.shape}")
         if not (np.abs(R @ R.swapaxes(-1, -2) - np.eye(3)).max(initial=0) < 1e-6 and np.all(np.linalg.det(R) > 0)):
             raise ValueError("SE3: R is not a rotation matrix")
-        R.setflags(write=False)
-        t.setflags(write=False)
         object.__setattr__(self, "R", R)
         object.__setattr__(self, "t", t)
 

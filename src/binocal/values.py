@@ -1,0 +1,29 @@
+"""What binocal's value types have in common: arrays that nobody can change, after pickling and copying too."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+
+def frozen_array(values: Any, dtype: type = float) -> ndarray:
+    """A read-only copy."""
+    array = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+class ArrayValue:
+    """Base of frozen dataclasses that hold arrays: pickle and copy go through the constructor.
+
+    What pickle would restore by itself are writable arrays that no check has seen.
+    """
+
+    __slots__ = ()
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        """The class and its fields, in the constructor's order."""
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
