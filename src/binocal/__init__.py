@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from binocal.rl.registration import register_with_gymnasium
+from binocal.rl.registration import register_if_loaded
 
 __version__ = "0.1.0"
 
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from binocal.formats.rig_json import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
     from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+    from binocal.threads import set_threads
 
 # Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
 _HOMES = {
@@ -58,6 +61,7 @@ _HOMES = {
     "binocal.formats.detections_npz": ("read_detections", "write_detections"),
     "binocal.formats.rig_json": ("read_calibration", "read_rig", "write_calibration"),
     "binocal.geometry": ("SE3",),
+    "binocal.threads": ("set_threads",),
     "binocal.result": (
         "Covariance",
         "OutlierCorner",
@@ -102,6 +106,7 @@ __all__ = [
     "read_calibration",
     "read_detections",
     "read_rig",
+    "set_threads",
     "write_calibration",
     "write_detections",
 ]
@@ -119,4 +124,22 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_HOME_OF})
 
 
-register_with_gymnasium()
+class _Package(ModuleType):
+    """This package: importing it, for the first time or again, makes the environment known to a loaded Gymnasium.
+
+    ``gymnasium.make("binocal:…")`` imports ``binocal`` and expects to find the environment then. Where ``binocal`` was imported before
+    Gymnasium nothing of it runs again, but Python reads ``__spec__`` at every import.
+    """
+
+    @property
+    def __spec__(self) -> Any:  # type: ignore[override]
+        register_if_loaded()
+        return vars(self)["__spec__"]
+
+    @__spec__.setter
+    def __spec__(self, spec: Any) -> None:
+        vars(self)["__spec__"] = spec
+
+
+sys.modules[__name__].__class__ = _Package
+register_if_loaded()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -44,10 +45,9 @@ def write_aside(path: str | Path, content: str | bytes, *, force: bool = False) 
     data = content.encode("utf-8") if isinstance(content, str) else content
     aside = ""
     try:
-        handle, aside = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
+        aside = str(path.with_name(f".{path.name}.{secrets.token_hex(4)}.part"))
+        with open(aside, "xb") as file:  # an ordinary file, with the permissions that the user's files get
             file.write(data)
-        os.chmod(aside, 0o666 & ~_umask())  # mkstemp makes files private; a result is an ordinary file
         os.replace(aside, path)
     except BaseException as error:
         if aside:
@@ -100,9 +100,3 @@ def staged_folder(
             os.replace(file, output / file.name)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

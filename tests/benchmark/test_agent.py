@@ -16,8 +16,8 @@ from binocal.rl.evaluation import (
     tolerance_of,
 )
 from binocal.rl.policy import LearnedController, shipped_policy
+from binocal.rl.registration import MAX_STEPS
 from binocal.rl.rig_batches import RIG_SETS
-from binocal.rl.task import MAX_STEPS
 from binocal.solvers.controllers import Marquardt
 
 

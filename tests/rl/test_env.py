@@ -18,8 +18,8 @@ from gymnasium.vector import AutoresetMode
 
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.env import EnvOptions, StereoExtrinsicsEnv, StereoExtrinsicsVectorEnv
-from binocal.rl.registration import ENV_ID, register
-from binocal.rl.task import MAX_STEPS, observation_names
+from binocal.rl.registration import ENV_ID, MAX_STEPS, register_if_loaded
+from binocal.rl.task import observation_names
 
 FEW = {"pool_size": 12}
 
@@ -48,10 +48,11 @@ def test_stable_baselines3_finds_nothing_to_warn_of(kind):
     "code",
     [
         "import gymnasium, binocal; gymnasium.make('binocal/StereoExtrinsics-v0')",
-        "import binocal, gymnasium; gymnasium.make('binocal/StereoExtrinsics-v0')",
         "import gymnasium; gymnasium.make('binocal:binocal/StereoExtrinsics-v0')",
-        "import binocal, importlib.util as u; u.find_spec('gymnasium'); import gymnasium as g; "
-        "g.make_vec('binocal/StereoExtrinsics-v0')",
+        "import binocal, gymnasium; gymnasium.make('binocal:binocal/StereoExtrinsics-v0')",
+        "import binocal.rl.task, gymnasium; gymnasium.make_vec('binocal:binocal/StereoExtrinsics-v0')",
+        "import sys; before = list(sys.meta_path); import binocal; assert sys.meta_path == before and "
+        "'gymnasium' not in sys.modules",
     ],
 )
 def test_a_fresh_process_knows_the_environment(code):
@@ -61,7 +62,7 @@ def test_a_fresh_process_knows_the_environment(code):
 
 def test_registering_again_changes_nothing(recwarn):
     before = gymnasium.spec(ENV_ID)
-    register()
+    register_if_loaded()
     assert gymnasium.spec(ENV_ID) is before and before.max_episode_steps == MAX_STEPS and not recwarn.list
 
 

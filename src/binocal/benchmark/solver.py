@@ -23,7 +23,6 @@ from binocal.calibrators import calibrate
 from binocal.cameras import camera_model
 from binocal.evidence import Detections
 from binocal.geometry import so3
-from binocal.kernels import n_cpus
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.solvers.bundle import (
     BundleEstimate,
@@ -33,6 +32,7 @@ from binocal.solvers.bundle import (
     retract,
     solve_step,
 )
+from binocal.threads import n_processors
 
 BOARD = "chessboard:11x8:20mm"
 NOISE_PX = 0.2
@@ -98,7 +98,7 @@ def run_solver_benchmark(
     cv2.setNumThreads(own_threads)
     batches = [_time_batch(seed, rounds, intrinsics=free) for free in (False, True)]
     machine = (
-        f"{platform.machine()}, {n_cpus()} processors, Python {platform.python_version()}, NumPy {np.__version__}, "
+        f"{platform.machine()}, {n_processors()} processors, Python {platform.python_version()}, NumPy {np.__version__}, "
         f"OpenCV {cv2.__version__}{', mrcal' if 'mrcal' in methods else ''}"
     )
     return {

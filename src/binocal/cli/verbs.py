@@ -10,6 +10,7 @@ import typer
 
 from binocal import __version__
 from binocal.cli.exits import BELOW_QUALITY, FINE
+from binocal.threads import n_threads, set_threads
 
 app = typer.Typer(
     add_completion=False,
@@ -47,6 +48,29 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.", metavar="N", min=0)]
 
 
+def _use_threads(n: int | None) -> None:
+    """Sees to the number of threads before any work, whoever stated it."""
+    if n is not None:
+        set_threads(n)
+    try:
+        n_threads()
+    except ValueError as error:
+        raise typer.BadParameter(f"{error}.") from None
+
+
+Threads = Annotated[
+    int | None,
+    typer.Option(
+        "--threads",
+        help="Threads to use (default: BINOCAL_THREADS, or all processors that the process may use).",
+        metavar="N",
+        min=1,
+        callback=_use_threads,
+        show_default=False,
+    ),
+]
+
+
 def _print_version(is_asked: bool) -> None:
     if is_asked:
         print(f"binocal {__version__}")
@@ -68,6 +92,7 @@ def demo(
         Path, typer.Option("--output", help="Folder for images, rig.json and truth.json.", metavar="DIR")
     ] = Path("binocal-demo"),
     seed: Seed = 0,
+    threads: Threads = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
@@ -128,6 +153,7 @@ def calibrate(
         Path | None,
         typer.Option("--opencv", help="Also write OpenCV YAML: a .yml file, or a folder for two.", metavar="PATH"),
     ] = None,
+    threads: Threads = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
@@ -184,6 +210,7 @@ def simulate(
         float, typer.Option("--noise", help="Sensor noise, grey levels of 255.", metavar="DN", min=0.0)
     ] = 3.0,
     seed: Seed = 0,
+    threads: Threads = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
@@ -225,6 +252,7 @@ def evaluate(
     left: Annotated[str | None, typer.Option("--left", help="Held-out left images.", metavar="GLOB")] = None,
     right: Annotated[str | None, typer.Option("--right", help="Held-out right images.", metavar="GLOB")] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    threads: Threads = None,
     json: Json = False,
 ) -> int:
     """Judge a rig by the paper's criteria, against the truth or on images that it has not seen."""
@@ -293,6 +321,7 @@ def train(
         typer.Option("--rigs", help="Unseen rigs of each evaluation set; 0 leaves the table out.", metavar="N", min=0),
     ] = 1000,
     seed: Seed = 0,
+    threads: Threads = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
@@ -325,6 +354,7 @@ def train(
 def bench(
     name: Annotated[str, typer.Argument(help="Which benchmark, such as solver.", metavar="NAME")],
     seed: Seed = 0,
+    threads: Threads = None,
     json: Json = False,
 ) -> int:
     """Measure binocal against the peers that are installed on this machine."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -11,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
+from binocal import threads
 from binocal.boards import Board
 from binocal.datasets.folder import ImagePair, Pairing
 from binocal.detection.detect import detect_in_layout
@@ -23,6 +22,7 @@ from binocal.detection.hints import hint_by_trying, hint_from_sizes
 from binocal.detection.preprocessing import strengthen_edges
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
 from binocal.evidence import Detections
+from binocal.images.opencv_settings import single_threaded_opencv
 from binocal.images.reading import read_hashed_grey_image
 from binocal.result import RejectedView
 
@@ -68,7 +68,7 @@ def detect_pairs(
     A view that one camera saw is kept, with NaN for the other camera. An unreadable image, or one of another size
     than the rest of its camera's, rejects its view. ``progress`` is called with images done and images in all,
     ``should_stop`` is asked after each image; OpenCV's own threads are switched off meanwhile, because the images
-    already fill ``n_threads`` (all cores).
+    already fill ``n_threads`` threads (:func:`binocal.threads.n_threads` of them by default).
 
     Raises:
         DetectionError: The board was found in no image, or most images show a board of another size; with a hint if
@@ -124,20 +124,18 @@ def _detect_all(
 ) -> list[_Seen]:
     """Every image, in the order given."""
     results: list[_Seen | None] = [None] * len(paths)
-    own_threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    pool = ThreadPoolExecutor(n_threads or os.cpu_count() or 1)
-    try:
-        waiting = {pool.submit(_detect_one, path, board, preprocess, layout): i for i, path in enumerate(paths)}
-        for done, future in enumerate(as_completed(waiting), start=1):
-            results[waiting[future]] = future.result()
-            if progress is not None:
-                progress(done, len(paths))
-            if should_stop is not None and should_stop():
-                raise CancelledError(f"stopped after {done} of {len(paths)} images")
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        cv2.setNumThreads(own_threads)
+    pool = ThreadPoolExecutor(n_threads or threads.n_threads())
+    with single_threaded_opencv():
+        try:
+            waiting = {pool.submit(_detect_one, path, board, preprocess, layout): i for i, path in enumerate(paths)}
+            for done, future in enumerate(as_completed(waiting), start=1):
+                results[waiting[future]] = future.result()
+                if progress is not None:
+                    progress(done, len(paths))
+                if should_stop is not None and should_stop():
+                    raise CancelledError(f"stopped after {done} of {len(paths)} images")
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
     return [result for result in results if result is not None]
 
 

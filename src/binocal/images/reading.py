@@ -7,9 +7,6 @@ So the container's own structure is walked first (:mod:`binocal.images.container
 from __future__ import annotations
 
 import hashlib
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +16,7 @@ from numpy import ndarray
 
 from binocal.errors import FormatError
 from binocal.images.containers import identify_container, structure_problem
+from binocal.images.opencv_settings import quiet_opencv
 from binocal.shapes import UInt8, UInt16
 
 if TYPE_CHECKING:
@@ -92,7 +90,7 @@ def _decode(path: Path, content: bytes, *, as_grey: bool) -> ndarray:
     flags = cv2.IMREAD_UNCHANGED
     if as_grey and container == "JPEG":
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-    with _quiet_opencv():
+    with quiet_opencv():
         try:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except cv2.error:
@@ -124,28 +122,3 @@ def _describe_content(content: bytes) -> str:
     head = content[:512]
     is_text = b"\0" not in head and all(byte >= 32 or byte in b"\t\r\n\f\b\x1b" for byte in head)
     return " but text" if is_text else ""
-
-
-_quiet_lock = threading.Lock()
-_quiet_depth = 0
-_loud_level = 0
-
-
-@contextmanager
-def _quiet_opencv() -> Iterator[None]:
-    """OpenCV's log switched off while any thread decodes; the caller's level comes back with the last one."""
-    global _quiet_depth, _loud_level
-    from cv2.utils import logging
-
-    with _quiet_lock:
-        if _quiet_depth == 0:
-            _loud_level = logging.getLogLevel()
-            logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-        _quiet_depth += 1
-    try:
-        yield
-    finally:
-        with _quiet_lock:
-            _quiet_depth -= 1
-            if _quiet_depth == 0:
-                logging.setLogLevel(_loud_level)

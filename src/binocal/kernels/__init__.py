@@ -11,7 +11,6 @@ The kernel holds no lock while it works and gives the same result for any number
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +18,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Bool, Float
+from binocal.threads import n_threads
 
 try:
     from binocal.kernels import _kernel
@@ -65,18 +65,8 @@ class Steps:
     least_pivot: Float[ndarray, "*batch"]
 
 
-def n_cpus() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-_N_CPUS = n_cpus()
-
-
 def _n_threads(n_corners: int) -> int:
-    return min(_N_CPUS, 1 + n_corners // CORNERS_PER_THREAD)
+    return min(n_threads(), 1 + n_corners // CORNERS_PER_THREAD)
 
 
 def accumulate(
@@ -390,7 +380,7 @@ def _solve(
             for a in (weight, gradient, *growths, *(_NOTHING if a is None else a for a in alteration))
         ),
         *out,
-        min(_N_CPUS, 1 + n_rigs * n_views // VIEWS_PER_THREAD),
+        min(n_threads(), 1 + n_rigs * n_views // VIEWS_PER_THREAD),
     )
 
 

@@ -1,9 +1,9 @@
 """Gymnasium faces of the task: one rig (:class:`StereoExtrinsicsEnv`), or a batch (:class:`StereoExtrinsicsVectorEnv`).
 
-Importing ``binocal`` beside Gymnasium registers ``binocal/StereoExtrinsics-v0`` with both, so that these make one::
+These make one::
 
-    env = gymnasium.make("binocal/StereoExtrinsics-v0", rig_set="stress")
-    envs = gymnasium.make_vec("binocal/StereoExtrinsics-v0", num_envs=64)
+    env = gymnasium.make("binocal:binocal/StereoExtrinsics-v0", rig_set="stress")
+    envs = gymnasium.make_vec("binocal:binocal/StereoExtrinsics-v0", num_envs=64)
 
 **Action**, Box(-1, 1): with ``kind="drl"`` six numbers, all zero being robust Gauss-Newton. A not finite number counts as 0.
 
@@ -44,9 +44,9 @@ from gymnasium.vector.utils import batch_space
 from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
+from binocal.rl.registration import MAX_STEPS
 from binocal.rl.rig_batches import RIG_SETS, RigBatch, distance_sigma, sample_rigs, sample_starts
 from binocal.rl.task import (
-    MAX_STEPS,
     TaskState,
     has_arrived,
     initial,

@@ -9,9 +9,9 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
+from binocal.rl.registration import MAX_STEPS
 from binocal.rl.rig_batches import RigBatch, remaining_sigma, select_loop
 from binocal.rl.task import (
-    MAX_STEPS,
     TaskState,
     has_arrived,
     initial,

@@ -15,8 +15,9 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
+from binocal.rl.registration import MAX_STEPS
 from binocal.rl.rig_batches import RIG_SETS, RigBatch, remaining_sigma, sample_rigs, sample_starts, select_loop
-from binocal.rl.task import KERNEL, MAX_STEPS, n_actions
+from binocal.rl.task import KERNEL, n_actions
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.controllers import Controller, Marquardt, Nielsen, Schedule

@@ -18,7 +18,6 @@ from binocal.solvers.bundle import BundleEstimate, BundleProblem, shared_informa
 from binocal.solvers.steering import OBSERVED, Action, LoopState, advance, begin, observe
 
 KERNEL = "hampel"
-MAX_STEPS = 25  # an episode that has not arrived by then has failed
 
 STEERING = (
     "log damping",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
@@ -12,6 +11,7 @@ from numpy import ndarray
 from binocal.shapes import UInt
 from binocal.simulation.renderer import RenderOptions, render_image
 from binocal.simulation.scenes import StereoScene
+from binocal.threads import n_threads
 
 
 def render_pairs(
@@ -36,7 +36,7 @@ def render_pairs(
         return view, side, render_image(camera, T_camera_board[view], scene.board, options, rng).image
 
     jobs = [(view, index) for index in range(2) for view in range(n_views)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(n_threads()) as pool:
         futures = [pool.submit(render, job) for job in jobs]
         try:
             for done, future in enumerate(as_completed(futures), 1):

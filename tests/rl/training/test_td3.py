@@ -180,7 +180,9 @@ def Room(n_observed: int, n_actions: int):
 def calibration_batches(n: int) -> list[tuple[np.ndarray, ...]]:
     """Transitions of 32 calibrations under random actions; observations are cut where our networks cut them."""
     gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is an extra: pip install binocal[train]")
-    envs = gymnasium.make_vec("binocal/StereoExtrinsics-v0", num_envs=32, pool_size=12, autoreset_mode="SameStep")
+    envs = gymnasium.make_vec(
+        "binocal:binocal/StereoExtrinsics-v0", num_envs=32, pool_size=12, autoreset_mode="SameStep"
+    )
     rng, out, (seen, _) = np.random.default_rng(0), [], envs.reset(seed=0)
     for _ in range(n):
         action = rng.uniform(-1, 1, (32, 6)).astype(np.float32)

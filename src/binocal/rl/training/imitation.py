@@ -34,10 +34,11 @@ class Imitation:
 
     def __init__(self, options: TrainingOptions, pools: list[tuple[RigBatch, float]]) -> None:
         self.options, self.pools = options, pools
-        torch.manual_seed(options.seed)
         td3: TD3Options = options.td3
         n_observed, n = len(observation_names(options.kind)), n_actions(options.kind)
-        self.actor = Actor(n_observed, n, td3.actor_widths, CENTRES[options.kind])
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(options.seed)
+            self.actor = Actor(n_observed, n, td3.actor_widths, CENTRES[options.kind])
         self.optimiser = torch.optim.Adam(self.actor.parameters(), lr=td3.learning_rate)
         self.rng = np.random.default_rng([options.seed, 4])
         self.target_actions = ReplayBuffer(options.capacity, n_observed, n)

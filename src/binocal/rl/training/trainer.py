@@ -127,11 +127,12 @@ class Training:
         if not pools:
             raise ValueError("training needs at least one pool of rigs")
         self.options, self.pools, self.validation = options, pools, validation
-        torch.manual_seed(options.seed)  # the networks' first weights
         self.rng, self.sampling = (np.random.default_rng([options.seed, stream]) for stream in (1, 5))
         self.noise = torch.Generator().manual_seed(options.seed)
         n_observed, n = len(observation_names(options.kind)), n_actions(options.kind)
-        self.td3 = TD3(n_observed, n, options.td3, CENTRES[options.kind])
+        with torch.random.fork_rng(devices=[]):  # the caller's own stream stays where it was
+            torch.manual_seed(options.seed)
+            self.td3 = TD3(n_observed, n, options.td3, CENTRES[options.kind])
         self.buffer = ReplayBuffer(options.capacity, n_observed, n)
         self.n_steps, self.n_generations, self.elapsed_s = 0, 0, 0.0
         self.losses: list[float] = []
@@ -359,13 +360,16 @@ def run_training(
     is_cancelled: Callable[[], bool] = lambda: False,
 ) -> None:
     """Trains until all steps are taken or ``is_cancelled`` says so; between generations it may be cut and resumed."""
+    threads_before = torch.get_num_threads()
     torch.set_num_threads(1)  # small matrices: a second thread only costs, and sums would depend on the machine
-    options = training.options
-    if training.n_generations == 0 and not training.checks:
-        training.warm_up()
-        on_check(training, training.check())
-    while not training.is_done and not is_cancelled():
-        training.generation()
-        if training.n_steps >= options.n_steps * len(training.checks) / options.n_checks:
+    try:
+        if training.n_generations == 0 and not training.checks:
+            training.warm_up()
             on_check(training, training.check())
-        on_generation(training)
+        while not training.is_done and not is_cancelled():
+            training.generation()
+            if training.n_steps >= training.options.n_steps * len(training.checks) / training.options.n_checks:
+                on_check(training, training.check())
+            on_generation(training)
+    finally:
+        torch.set_num_threads(threads_before)
