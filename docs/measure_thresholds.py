@@ -67,7 +67,7 @@ def count() -> tuple[int, int]:
     for scene in scenes:
         result = binocal.detection.detect(scene.image, scene.board)
         if result.is_found:
-            is_right = benchmark.judge(result.points_px, scene)
+            is_right = benchmark.is_in_place(result.points_px, scene)
             found, wrong = found + is_right, wrong + (not is_right)
     return found, wrong
 

@@ -8,7 +8,7 @@ from binocal.benchmark.detection import (
     LEAST_SIDE_PX,
     DetectionScene,
     draw_detection_scene,
-    judge,
+    is_in_place,
     run_detection_benchmark,
 )
 from binocal.boards import parse_board
@@ -21,21 +21,21 @@ def scene_of(spec):
 
 def test_corners_are_judged_in_the_orders_that_the_colours_allow():
     odd, even = scene_of("chessboard:4x3:20mm"), scene_of("chessboard:5x3:20mm")
-    assert judge(odd.corners_px, odd) and not judge(odd.corners_px[::-1], odd)
-    assert judge(even.corners_px, even) and judge(even.corners_px[::-1], even)
-    assert not judge(even.corners_px.reshape(3, 5, 2)[:, ::-1].reshape(-1, 2), even)
+    assert is_in_place(odd.corners_px, odd) and not is_in_place(odd.corners_px[::-1], odd)
+    assert is_in_place(even.corners_px, even) and is_in_place(even.corners_px[::-1], even)
+    assert not is_in_place(even.corners_px.reshape(3, 5, 2)[:, ::-1].reshape(-1, 2), even)
     square = scene_of("chessboard:3x3:20mm")
-    assert judge(np.rot90(square.corners_px.reshape(3, 3, 2)).reshape(-1, 2), square)
+    assert is_in_place(np.rot90(square.corners_px.reshape(3, 3, 2)).reshape(-1, 2), square)
 
 
 def test_one_misplaced_corner_makes_a_grid_wrong_and_a_missing_one_does_not():
     scene = scene_of("chessboard:4x3:20mm")
     points = scene.corners_px.copy()
     points[3] = np.nan
-    assert judge(points, scene)
+    assert is_in_place(points, scene)
     points[5] += 5.1
-    assert not judge(points, scene)
-    assert not judge(points, DetectionScene(scene.image, scene.board, None, np.inf, ""))
+    assert not is_in_place(points, scene)
+    assert not is_in_place(points, DetectionScene(scene.image, scene.board, None, np.inf, ""))
 
 
 def test_scenes_keep_their_promises_and_come_back():

@@ -131,7 +131,7 @@ def _draw_shadow(rng: np.random.Generator) -> tuple[Float32[ndarray, "h w"], flo
     return (shade + (1 - shade) / (1 + np.exp(-np.clip(across / softness, -30, 30)))).astype(np.float32), shade
 
 
-def judge(points_px: Float[ndarray, "n 2"], scene: DetectionScene) -> bool:
+def is_in_place(points_px: Float[ndarray, "n 2"], scene: DetectionScene) -> bool:
     """Whether every corner that was found is at its place, in an order that the board's colours allow."""
     if scene.corners_px is None:
         return False
@@ -212,7 +212,7 @@ def _score(
     if points is None:
         if scene.corners_px is not None:
             tally.missed.append(scene.text)
-    elif judge(points, scene) or (any_order and judge(points[::-1], scene)):
+    elif is_in_place(points, scene) or (any_order and is_in_place(points[::-1], scene)):
         tally.n_found += 1
     else:
         tally.wrong.append(scene.text)

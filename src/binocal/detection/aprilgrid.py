@@ -130,8 +130,8 @@ def _measure(
     rough[index.ravel()] = quads.reshape(-1, 2)
     side[index.ravel()] = np.repeat(np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).min(axis=1), 4)
     # The window ends where the small square or the tag's code begins.
-    room = 0.75 * min(board.tag_gap_ratio, border_bits / (6 + 2 * border_bits))
-    points = refine_corners(grey, rough, side, per_spacing=room)
+    window_per_side = 0.75 * min(board.tag_gap_ratio, border_bits / (6 + 2 * border_bits))
+    points = refine_corners(grey, rough, side, per_spacing=window_per_side)
     seen = np.isfinite(points[:, 0])
     border = border_bits / (6 + 2 * border_bits)
     radius = max(2.0, 0.5 * float(np.nanmedian(side)) * min(board.tag_gap_ratio, border))
@@ -140,10 +140,12 @@ def _measure(
         start = np.where(seen[:, None], points, rough)
         xy = board.object_points_m[:, :2]
         points, covariance = measure_corners(
-            grey, start, xy, board.tag_gap_ratio * side, border * side, per_reach=room / board.tag_gap_ratio
+            grey, start, xy, board.tag_gap_ratio * side, border * side, per_reach=window_per_side / board.tag_gap_ratio
         )
     else:
-        covariance = corner_covariance(grey, points, side, per_spacing=room) + L_CORNER_BIAS_PX**2 * np.eye(2)
+        covariance = corner_covariance(grey, points, side, per_spacing=window_per_side) + L_CORNER_BIAS_PX**2 * np.eye(
+            2
+        )
     points[np.linalg.norm(points - rough, axis=1) > np.maximum(0.15 * side, 2.5)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= 4:

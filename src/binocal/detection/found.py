@@ -17,7 +17,7 @@ class FoundBoard(ArrayValue):
 
     ``points_px`` is NaN where a point was not seen, all NaN where the board was not found; ``reason`` then says why,
     and is empty otherwise. ``covariance_px2`` is each point's estimated covariance, NaN where it was not seen. ``note``
-    tells what a careful reader should know of a found board. ``size_seen`` is the size of the grid that was seen instead
+    says what a careful reader should know of a found board. ``size_seen`` is the size of the grid that was seen instead
     of the board's (columns and rows, the larger first), for hints.
     """
 

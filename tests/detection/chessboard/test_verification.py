@@ -83,6 +83,8 @@ def test_a_corner_off_the_smooth_grid_is_not_seen(whole, monkeypatch):
         points[20] += next(shifts)
         return points, covariance
 
+    monkeypatch.setattr(verification, "are_faint", lambda level, points, grid: np.zeros(54, bool))
+
     monkeypatch.setattr(verification, "measure_corners", measure)
     found = verify(image, candidate)
     assert found.is_found and np.abs(found.points_px - truth).max() < 0.2  # looked for again, and measured at its place
@@ -102,8 +104,8 @@ def test_a_row_beyond_the_lattice_and_a_second_board_are_contradictions(whole):
     part = replace(candidate, lattice=replace(candidate.lattice, points_px=candidate.lattice.points_px[:, :-1]))
     shorter = replace(image, board=replace(image.board, columns=part.lattice.size[0], rows=part.lattice.size[1]))
     assert "continues beyond" in verify(shorter, part).reason
-    twin = Lattice(candidate.lattice.points_px + [2000.0, 0.0], True, 100.0)
-    level = replace(candidate.level, lattices=[candidate.lattice, twin])
+    second = Lattice(candidate.lattice.points_px + [2000.0, 0.0], True, 100.0)
+    level = replace(candidate.level, lattices=[candidate.lattice, second])
     assert "more than one board" in verify(image, replace(candidate, level=level)).reason
 
 

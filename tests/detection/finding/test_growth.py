@@ -90,19 +90,32 @@ def plain_board(last_edge_px=0.0):
     return np.random.default_rng(0).normal(cv2.GaussianBlur(image, (0, 0), 1.0), 1.0)
 
 
-def grow_last_column(image):
+def grown_from(image, part):
     grey = np.rint(np.clip(image, 0, 255)).astype(np.uint8)
-    return grow(grey, cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8), GRID[:, :6], (7, 5))
+    return grow(grey, cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8), part, (7, 5))
+
+
+def grow_last_column(image):
+    return grown_from(image, GRID[:, :6])
 
 
 @pytest.mark.parametrize(("n_covered", "grows"), [(0, True), (1, True), (2, False)])
 def test_four_fifths_of_a_line_must_have_the_boards_colours(n_covered, grows):
     image = plain_board()
-    image[(5 - n_covered) * PITCH + PITCH // 2 : 6 * PITCH, 6 * PITCH :] = 120.0
-    grown = grow_last_column(image)
+    image[5 * PITCH :, (7 - n_covered) * PITCH + PITCH // 2 :] = 120.0  # of seven corners
+    image[4 * PITCH + PITCH // 2 :, (7 - n_covered) * PITCH + PITCH // 2 : 8 * PITCH] = 120.0
+    grown = grown_from(image, GRID[:4])
     assert (grown is not None) is grows
     if grown is not None:
         assert np.abs(grown[0] - GRID).max() < 1.0 and grown[1] == 0
+
+
+@pytest.mark.parametrize(("contrast", "grows"), [(0.4, True), (0.15, False)])
+def test_a_line_has_the_lattices_contrast(contrast, grows):
+    image = plain_board()
+    beyond = image[:, 7 * PITCH :]  # of the four squares about a corner two keep theirs: 0.7 and 0.58
+    beyond[...] = 125 + contrast * (beyond - 125)
+    assert (grow_last_column(image) is not None) is grows
 
 
 @pytest.mark.parametrize(("off", "grows"), [(0.2, True), (0.33, False)])

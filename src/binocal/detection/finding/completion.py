@@ -192,7 +192,7 @@ def border_shares(smooth: ndarray, grid: ndarray, is_bright_first: bool) -> list
 def _step_break(grid: ndarray) -> float:
     """How far the first row is from the straight continuation of the next two, in steps (median).
 
-    0 where it cannot be told.
+    0 where too few corners are seen to say so.
     """
     if len(grid) < 3:
         return 0.0

@@ -1,7 +1,7 @@
 """Lattices: groups of linked X-corners as grids of rows and columns, completed and bounded by their edges.
 
 Nothing here knows the board: every chessboard pattern in the image comes out with its own number of columns and rows,
-which is what tells a wrong SPEC, a second board or a half-hidden one.
+by which a wrong SPEC, a second board or a half-hidden one is recognised.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Lattice:
     """A grid of corners: ``points_px[row, column]``, NaN where none was seen.
 
     Columns x rows turns as x towards y in the image.
-    ``is_dark_first`` tells that the square beyond corner (0, 0), outwards, is dark.
+    ``is_dark_first`` says that the square beyond corner (0, 0), outwards, is dark.
     """
 
     points_px: Float[ndarray, "rows columns 2"]

@@ -43,8 +43,8 @@ def fit_corners(
 
     ``reach_px`` is the distance to the nearest edge that is not the corner's own: the fit takes a disc of 0.85 of it, at
     most 14 px and at least 2.5, less where the blur carries that edge in. ``strip_px`` limits it to bands along the
-    corner's edges, where squares are not plain. Starts must lie within half the reach (at least 1.5 px); a corner that
-    has no room inside the image, or shows no saddle, is NaN. With the corners' places on the board, whose axes its
+    corner's edges, where squares are not plain. Starts must lie within half the reach (at least 1.5 px); a corner
+    whose disc leaves the image, or that shows no saddle, is NaN. With the corners' places on the board, whose axes its
     edges follow, the lens's bending of the edges is taken out.
     """
     points_px = np.asarray(points_px, dtype=float)

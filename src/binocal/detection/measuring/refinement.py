@@ -61,7 +61,7 @@ def refine_corners(
     """Corners to sub-pixels: their window's gradients are orthogonal to the way from them (Förstner), by cornerSubPix.
 
     ``grey`` is (h, w), uint8, uint16 or float32. ``spacing_px`` is the distance to the nearest other corner. A corner
-    that leaves its own window, or has no room inside the image, is NaN.
+    that leaves its own window, or whose window leaves the image, is NaN.
     """
     if grey.dtype == np.uint16:
         grey = grey.astype(np.float32)
