@@ -14,6 +14,7 @@ CHECKED = [
     "boards",
     "images",
     "datasets",
+    "detection",
     "simulation",
     "metrics",
     "initialization",

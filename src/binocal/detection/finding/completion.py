@@ -65,7 +65,7 @@ def extend_to(
 
 def _see_edges(
     smooth: ndarray, grid: ndarray, is_bright_first: bool
-) -> tuple[Int[ndarray, "r c-1"], Int[ndarray, "r-1 c"]]:
+) -> tuple[Int[ndarray, "rows gaps_in_row"], Int[ndarray, "gaps_in_column columns"]]:
     """Edges between neighbours along rows and along columns: 1 seen, -1 not seen, 0 an end is missing."""
     rows, columns = grid.shape[:2]
     parity = np.where((np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0) == is_bright_first, 1.0, -1.0)
@@ -146,7 +146,7 @@ def _search(saddles: SaddleImage, predicted: ndarray, spacing: ndarray) -> Float
     each = np.arange(len(at))
     index = np.nonzero(window[each, best] > 0)[0]
     row, column = np.divmod(best[index], len(step))
-    centres = np.stack([columns[index, column], rows[index, row]], axis=-1)
+    centres = np.stack([columns[index, column], rows[index, row]], axis=-1).astype(float)
     found = np.full((len(predicted), 3), np.nan)
     is_corner, _, contrast = read_rings(
         saddles.smooth, centres, saddles.radius_px, min_contrast_dn=WEAK_CONTRAST_DN, max_unlikeness=WEAK_UNLIKENESS

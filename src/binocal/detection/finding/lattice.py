@@ -82,7 +82,7 @@ def find_lattices(
         # Ray 0 has its bright sector after it: with turn 0 the sector between steps +x and +y is bright, so is the one
         # opposite.
         column, row = cells[0] - low
-        is_bright_first = (turns[0] % 2 == 0) ^ bool((column + row) % 2)
+        is_bright_first = bool(turns[0] % 2 == 0) ^ bool((column + row) % 2)
         if is_whole:
             lattices.append(Lattice(grid[..., :2], not is_bright_first, float(np.median(grid[..., 2]))))
             continue

@@ -154,7 +154,7 @@ def _scaling(scale: float) -> Float[ndarray, "2 3"]:
 
 def _stretch(
     image: UInt8[ndarray, "h w"], linked_px: Float[ndarray, "n 2"], angle: float
-) -> tuple[Float32[ndarray, "h w"], Float[ndarray, "2 3"]]:
+) -> tuple[Float32[ndarray, "h2 w2"], Float[ndarray, "2 3"]]:
     """The image about some corners, drawn to half its length along a direction and twice across."""
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-along[1], along[0]])
