@@ -33,6 +33,7 @@ lint: $(VENV)/.stamp
 docs: $(VENV)/.stamp
 	$(BIN)/python docs/make_cli_reference.py
 	$(BIN)/python docs/make_figure.py
+	$(BIN)/python docs/make_chessboard_figures.py
 
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
   $(BIN)/python -m pip install --quiet --disable-pip-version-check

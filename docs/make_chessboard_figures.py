@@ -54,7 +54,7 @@ class Scene:
 
 
 def covered_board() -> Scene:
-    """A board before clutter, with a shadow's border across it, a finger on one corner and a glare on its edge."""
+    """A board before clutter, with a shadow's border across it and a finger on one corner."""
     board, size = parse_board("chessboard:9x6:30mm"), (640, 480)
     camera = Camera("brown4", size, [700, 700, 320, 240, 0, -0.12, 0.03, 0, 0])
     centre = board.object_points_m.mean(axis=0)
