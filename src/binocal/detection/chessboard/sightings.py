@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -59,22 +60,22 @@ class Sightings:
 
     def with_level(self, level: SearchLevel) -> Sightings:
         """With what one more search has shown."""
-        seen = replace(self, is_second_look=bool(self.pending))
+        exact = next((lattice for lattice in level.lattices if lattice.size == self.size), None)
+        changes = self._see_others(level) if exact is None else self._see_exact(Candidate(exact, level))
         if len(level.linked_px) > len(self.linked_px):
-            seen = replace(seen, linked_px=level.linked_px)
-        exact = [lattice for lattice in level.lattices if lattice.size == self.size]
-        return seen._with_exact(Candidate(exact[0], level)) if exact else seen._with_others(level)
+            changes["linked_px"] = level.linked_px
+        return replace(self, is_second_look=bool(self.pending), **changes)
 
-    def _with_exact(self, candidate: Candidate) -> Sightings:
+    def _see_exact(self, candidate: Candidate) -> dict[str, Any]:
         n_seen = candidate.lattice.n_seen
         is_enough = n_seen >= MIN_SHARE_SEEN * self.n_points
         pending = (*self.pending, candidate) if is_enough else self.pending
-        return replace(self, most_seen=max(self.most_seen, n_seen), pending=pending)
+        return {"most_seen": max(self.most_seen, n_seen), "pending": pending}
 
-    def _with_others(self, level: SearchLevel) -> Sightings:
+    def _see_others(self, level: SearchLevel) -> dict[str, Any]:
         boards = boards_among(level.lattices)
         if len(boards) > 1:  # or pieces of one, which a finer search puts together
-            return replace(self, several=self.several or tuple(boards))
+            return {"several": self.several or tuple(boards)}
         part, other = self.part, self.other
         for lattice in level.lattices:
             is_large = min(lattice.points_px.shape[:2]) >= MIN_LINES
@@ -85,7 +86,7 @@ class Sightings:
         size = boards[0].size if boards else (0, 0)
         larger = size if size[0] > self.size[0] or size[1] > self.size[1] else None
         agrees = larger is not None and larger == self.larger
-        return replace(self, part=part, other=other, larger=larger, agrees_on_larger=agrees)
+        return {"part": part, "other": other, "larger": larger, "agrees_on_larger": agrees}
 
     def with_refused(self, found: FoundBoard) -> Sightings:
         """With a candidate's refusal; the first one counts."""

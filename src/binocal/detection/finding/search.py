@@ -143,6 +143,9 @@ def _search(saddles: SaddleImage, matrix: Float[ndarray, "2 3"], size: tuple[int
 
 
 def _to_image(points: Float[ndarray, "*n 2"], matrix: Float[ndarray, "2 3"]) -> Float[ndarray, "*n 2"]:
+    (a, b), (c, d) = matrix[:, :2]
+    if b == c == 0:
+        return (points - matrix[:, 2]) / (a, d)  # the usual, scaled image
     return (points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
 
 
