@@ -93,6 +93,7 @@ def exceptions():
         errors.TooFewViewsError: (2, 3, {"05": "blurred"}),
         errors.TooFewPointsError: ("view 3, left", 2, 4),
         errors.MissingExtraError: ("training", "train"),
+        errors.PluginError: ("binocal.formats", "mine", "my-package", "fails to load"),
         errors.DetectionError: ("no board", {"left": "blank"}),
         errors.DegenerateGeometryError: ("parallel boards", {"05": "tilted 2 deg"}),
     }

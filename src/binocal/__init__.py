@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         MissingExtraError,
         NotConvergedError,
         OutputExistsError,
+        PluginError,
         TooFewPointsError,
         TooFewViewsError,
     )
@@ -55,6 +56,7 @@ _HOMES = {
         "MissingExtraError",
         "NotConvergedError",
         "OutputExistsError",
+        "PluginError",
         "TooFewPointsError",
         "TooFewViewsError",
     ),
@@ -91,6 +93,7 @@ __all__ = [
     "NotConvergedError",
     "OutlierCorner",
     "OutputExistsError",
+    "PluginError",
     "RejectedView",
     "ResidualSummary",
     "StereoCalibration",

@@ -15,6 +15,7 @@
     │   ├── InconsistentViewsError
     │   └── NotConvergedError   (CLI exit code 1)
     ├── CancelledError          the caller asked to stop                      (CLI exit code 130)
+    ├── PluginError             what an installed package adds fails to load   (CLI exit code 1)
     └── MissingExtraError       an optional dependency is not installed   (CLI exit code 1)
 
 ``ValueError`` and ``TypeError`` mean that the caller's code is wrong (shape, dtype, option).
@@ -119,6 +120,16 @@ class NotConvergedError(CalibrationError):
 
 class CancelledError(BinocalError):
     """The caller's ``should_stop`` said so; nothing was returned or written."""
+
+
+class PluginError(BinocalError):
+    """What an installed package adds through an entry point fails to load, or is not what it should be."""
+
+    def __init__(self, group: str, name: str, package: str, problem: str) -> None:
+        super().__init__(
+            f"{name!r} ({group}) of the package {package}: {problem}; repair or uninstall that package, or use another name."
+        )
+        self.group, self.name, self.package, self.problem = group, name, package, problem
 
 
 class MissingExtraError(BinocalError):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest, Calibrator, ProgressCallback, ShouldStop
-from binocal.calibrators.registry import CALIBRATORS, load_calibrator
+from binocal.calibrators.registry import CALIBRATORS, known_calibrators, load_calibrator
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 
@@ -17,6 +17,7 @@ __all__ = [
     "Calibrator",
     "calibrate",
     "calibrate_as_requested",
+    "known_calibrators",
     "load_calibrator",
 ]
 
@@ -94,8 +95,12 @@ def calibrate_named_or_best_model(
 
 
 def _check_model(name: str) -> None:
-    """Raises ValueError: no such camera model."""
+    """Raises ValueError: there is no such camera model, or none that can be calibrated with."""
     if name != "auto":
-        from binocal.cameras import camera_model
+        from binocal.cameras import CAMERA_MODELS, camera_model
 
-        camera_model(name)
+        if not camera_model(name).is_compiled:
+            raise ValueError(
+                f"camera model {name!r} cannot be solved with: the compiled solver knows {', '.join(CAMERA_MODELS)}; "
+                "rigs of other models are read, written, rectified, simulated and evaluated"
+            )

@@ -1,9 +1,13 @@
-"""The calibrators by name, or by the weights that :func:`binocal.app.train` wrote. Each imports its method only when called."""
+"""The calibrators by name: built-in ones, those that installed packages add, and the weights that :func:`binocal.app.train` wrote.
+
+Each imports its method only when called.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from binocal import plugins
 from binocal.calibrators.base import Calibrator
 
 
@@ -35,15 +39,24 @@ def load_calibrator(name: str) -> Calibrator:
     """The calibrator of that name, or led by the agent in that file of weights.
 
     Raises:
-        ValueError: No such calibrator.
+        ValueError: No such calibrator; the text names those that are known.
+        PluginError: An installed package adds it, and it fails to load.
         FormatError: The file of weights cannot be read, or fits another version.
     """
     if name.endswith(WEIGHTS_SUFFIX):
         from binocal.calibrators.learned import calibrator_of_weights
 
         return calibrator_of_weights(name)
-    try:
+    if name in CALIBRATORS:
         return CALIBRATORS[name]()
-    except KeyError:
-        known = ", ".join(CALIBRATORS)
-        raise ValueError(f"unknown calibrator {name!r}; known: {known}, or a {WEIGHTS_SUFFIX} file") from None
+    added = plugins.load_plugin(plugins.CALIBRATORS, name)
+    if added is None:
+        known = ", ".join(known_calibrators())
+        raise ValueError(f"unknown calibrator {name!r}; known: {known}, or a {WEIGHTS_SUFFIX} file")
+    return added
+
+
+def known_calibrators() -> tuple[str, ...]:
+    """Names of all calibrators, the built-in ones first."""
+    added = plugins.plugin_names(plugins.CALIBRATORS)
+    return (*CALIBRATORS, *(name for name in added if name not in CALIBRATORS))

@@ -1,4 +1,4 @@
-"""The camera models by name: a plain dictionary of records of functions."""
+"""The camera models by name, records of functions: the built-in ones, and those that installed packages add."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from binocal import plugins
 from binocal.cameras import brown_conrady, kannala_brandt
 
 LINEAR_NAMES = ("fx", "fy", "cx", "cy", "skew")
@@ -37,6 +38,11 @@ class CameraModel:
     def n_parameters(self) -> int:
         """Length of the parameter vector, skew included."""
         return 5 + len(self.distortion_names)
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the compiled kernel knows it; calibrating needs that, all else works with the functions above."""
+        return self.name in CAMERA_MODELS
 
     @property
     def has_prior(self) -> bool:
@@ -86,9 +92,18 @@ def camera_model(name: str) -> CameraModel:
     """The model of that name.
 
     Raises:
-        ValueError: No such model.
+        ValueError: No such model; the text names those that are known.
+        PluginError: An installed package adds it, and it fails to load.
     """
-    try:
+    if name in CAMERA_MODELS:
         return CAMERA_MODELS[name]
-    except KeyError:
-        raise ValueError(f"unknown camera model {name!r}; known: {', '.join(CAMERA_MODELS)}") from None
+    added = plugins.load_plugin(plugins.CAMERA_MODELS, name, CameraModel)
+    if added is None:
+        raise ValueError(f"unknown camera model {name!r}; known: {', '.join(known_camera_models())}")
+    return added
+
+
+def known_camera_models() -> tuple[str, ...]:
+    """Names of all camera models, the built-in ones first."""
+    added = plugins.plugin_names(plugins.CAMERA_MODELS)
+    return (*CAMERA_MODELS, *(name for name in added if name not in CAMERA_MODELS))

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from binocal.cli.exits import FAILED, FINE, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
-from binocal.errors import BinocalError, CancelledError, MissingExtraError, NotConvergedError
+from binocal.errors import BinocalError, CancelledError, MissingExtraError, NotConvergedError, PluginError
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -31,7 +31,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         _report(error_code(error), str(error), wants_json, details(error))
         if isinstance(error, CancelledError):
             return INTERRUPTED
-        return FAILED if isinstance(error, NotConvergedError | MissingExtraError) else UNUSABLE_INPUT
+        return FAILED if isinstance(error, NotConvergedError | MissingExtraError | PluginError) else UNUSABLE_INPUT
     except KeyboardInterrupt:
         _report("interrupted", "interrupted; nothing was written by halves.", wants_json)
         return INTERRUPTED

@@ -27,6 +27,8 @@ from binocal.shapes import Float
 
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "board pitch": 1.0}
 
+OPENCV_MODELS = frozenset(("brown4", "brown5", "brown8", "fisheye4"))
+
 # Names seen in the wild, compared in lower case without "_" and "-".
 _ALIASES = {
     "K_left": "m1 k1 cameramatrix1 cameramatrixleft leftcameramatrix intrinsicmatrix1 kleft kl m1left leftk",
@@ -119,6 +121,11 @@ def check_writable_for_opencv(rig: StereoRig) -> None:
                 f"the {side} camera has skew {camera.parameters[4]:.6g} px, which OpenCV's functions ignore; "
                 "calibrate without skew for an OpenCV file."
             )
+        if camera.model not in OPENCV_MODELS:
+            raise DataError(
+                f"OpenCV has no camera model {camera.model}, which the {side} camera is of; "
+                f"calibrate with one of {', '.join(sorted(OPENCV_MODELS))}."
+            )
     is_fisheye = [camera.model == "fisheye4" for camera in (rig.left, rig.right)]
     if is_fisheye[0] != is_fisheye[1]:
         raise DataError("OpenCV cannot combine a fisheye with an ordinary lens; calibrate both with one model.")
@@ -128,6 +135,26 @@ def check_writable_for_opencv(rig: StereoRig) -> None:
             "the ordinary functions would take its numbers for another lens.",
             stacklevel=3,
         )
+
+
+def opencv_losses(rig: StereoRig) -> tuple[str, ...]:
+    """What of a rig OpenCV's files cannot hold; :func:`write_opencv` refuses such a rig."""
+    losses = []
+    if any(camera.parameters[4] != 0 for camera in (rig.left, rig.right)):
+        losses.append("skew")
+    models = {camera.model for camera in (rig.left, rig.right)}
+    if not models <= OPENCV_MODELS or ("fisheye4" in models and len(models) > 1):
+        losses.append("camera model")
+    return tuple(losses)
+
+
+def is_opencv_file(path: str | Path) -> bool:
+    """Whether the file, or the folder of two, holds matrices under the names of OpenCV's stereo calibrations."""
+    try:
+        _, values = _load_stereo(Path(path))
+    except FormatError:
+        return False
+    return {"K_left", "K_right", "R", "T"} <= values.keys()
 
 
 def read_opencv(
@@ -278,7 +305,10 @@ def load_storage(path: str | Path) -> dict[str, Any]:
         raise FormatError(path, "is not a text file; expected OpenCV YAML, JSON or XML") from None
     start = text.lstrip()[:1]
     parse = _parse_json if start == "{" else _parse_xml if start == "<" else _parse_yaml
-    content = parse(path, text)
+    try:
+        content = parse(path, text)
+    except RecursionError:
+        raise FormatError(path, "is nested too deeply for an OpenCV file") from None
     if not isinstance(content, dict) or not content:
         raise FormatError(path, "is not an OpenCV file: expected keys with values")
     return content

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from binocal.boards import Board, format_board, parse_board
-from binocal.cameras import CAMERA_MODELS, Camera, StereoRig
+from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.errors import FormatError
 from binocal.geometry import SE3
 from binocal.output import write_aside
@@ -180,6 +180,20 @@ def write_calibration(path: str | Path, calibration: StereoCalibration, *, force
         DataError: The file cannot be written.
     """
     write_aside(path, dump_json(calibration_document(calibration)), force=force)
+
+
+def write_rig(path: str | Path, rig: StereoRig, *, force: bool = False) -> None:
+    """Write the rig alone, as :func:`read_rig` reads it. Raises as :func:`write_calibration`."""
+    write_aside(path, dump_json(jsonable(rig_document(rig))), force=force)
+
+
+def is_rig_file(path: str | Path) -> bool:
+    """Whether the file is binocal's by what it says of itself: a JSON object with the key ``schema`` and a known start."""
+    try:
+        value = json.loads(Path(path).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(value, dict) and str(value.get("schema", "")).startswith(SCHEMA.partition("/")[0] + "/")
 
 
 def write_truth(path: str | Path, truth: Truth, *, force: bool = False) -> None:
@@ -418,11 +432,13 @@ def _load(path: str | Path) -> _Node:
 
 def _parse_camera(node: _Node) -> Camera:
     model = node.text("model")
-    if model not in CAMERA_MODELS:
-        raise node.fail("model", f"one of {', '.join(CAMERA_MODELS)}")
+    try:
+        n_distortion = len(camera_model(model).distortion_names)
+    except ValueError as error:
+        raise FormatError(node.path, f"key '{node.place}model': {error}") from None
     size = node.array("image_size", (2,))
     linear = [node.number(key) for key in ("fx", "fy", "cx", "cy", "skew")]
-    distortion = node.array("distortion", (CAMERA_MODELS[model].n_parameters - 5,))
+    distortion = node.array("distortion", (n_distortion,))
     try:
         return Camera(model, (int(size[0]), int(size[1])), np.r_[linear, distortion])
     except ValueError as error:

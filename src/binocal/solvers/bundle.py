@@ -34,7 +34,7 @@ from binocal.kernels import (
     step_poses,
 )
 from binocal.shapes import Bool, Float
-from binocal.solvers import robust
+from binocal.solvers import plain_equations, robust
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +163,10 @@ def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> tuple
     poses = camera_poses(problem, estimate)
     return tuple(
         squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen, c.whitening)
+        if c.model.is_compiled
+        else plain_equations.squared_lengths(
+            c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen, c.whitening
+        )
         for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )
 
@@ -177,22 +181,13 @@ def linearize(
 ) -> BundleEquations:
     """Residuals and normal equations of all cameras at an estimate."""
     poses = camera_poses(problem, estimate)
-    equations = tuple(
-        accumulate(
-            c.model.name,
-            parameters,
-            R,
-            t,
-            problem.object_points,
-            c.pixels,
-            c.is_seen,
-            scale_px,
-            kernel,
-            c.is_free,
-            c.whitening,
+    equations = []
+    for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True):
+        given = (parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel, c.is_free, c.whitening)
+        is_compiled = c.model.is_compiled
+        equations.append(
+            accumulate(c.model.name, *given) if is_compiled else plain_equations.accumulate(c.model, *given)
         )
-        for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
-    )
     cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
     energy = np.zeros(cost.shape)
     for camera, parameters in zip(problem.cameras, estimate.parameters, strict=True):
@@ -204,7 +199,7 @@ def linearize(
     scale_px = np.asarray(scale_px, dtype=float)
     if scale_px.shape != cost.shape:
         scale_px = np.broadcast_to(scale_px, cost.shape)
-    return BundleEquations(equations, cost + scale_px**2 * energy, energy, scale_px)
+    return BundleEquations(tuple(equations), cost + scale_px**2 * energy, energy, scale_px)
 
 
 def cost_under(

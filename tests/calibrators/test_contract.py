@@ -1,0 +1,25 @@
+"""One suite over every calibrator in the registry."""
+
+from __future__ import annotations
+
+import pytest
+
+from binocal.calibrators import CALIBRATORS, known_calibrators, load_calibrator
+from contracts import CALIBRATOR_CONTRACT, result_comes_back_from_its_file
+
+
+@pytest.mark.parametrize("check", CALIBRATOR_CONTRACT, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("name", CALIBRATORS)
+def test_contract(name, check):
+    check(name)
+
+
+@pytest.mark.parametrize("name", CALIBRATORS)
+def test_result_comes_back_from_its_file(name, tmp_path):
+    result_comes_back_from_its_file(name, tmp_path)
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones():
+    assert known_calibrators()[: len(CALIBRATORS)] == tuple(CALIBRATORS)
+    with pytest.raises(ValueError, match="'magic'; known: drl, drl-increments, lm"):
+        load_calibrator("magic")

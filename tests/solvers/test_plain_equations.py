@@ -1,0 +1,69 @@
+"""NumPy's equations are the compiled kernel's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binocal.cameras import CAMERA_MODELS, CameraModel
+from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations, linearize, residual_lengths2
+from rigs import make_detections, make_poses, make_rig
+
+
+@pytest.fixture(params=[(model, is_batch) for model in CAMERA_MODELS for is_batch in (False, True)])
+def problems(request):
+    """The same problem for the compiled kernel and for NumPy, and an estimate near its minimum."""
+    model, is_batch = request.param
+    rig, poses, rng = make_rig(model, skew=0.3), make_poses(4, np.random.default_rng(0)), np.random.default_rng(1)
+    corners = make_detections(rig, poses, noise_px=0.3, rng=rng)
+    left_px = corners.left_px.copy()
+    left_px[1, :30] = np.nan
+    left_px[2, 3] += 40
+    whitening = np.stack(
+        [rng.uniform(0.5, 2, (4, 88)), rng.uniform(-1, 1, (4, 88)), rng.uniform(0.5, 2, (4, 88))], axis=1
+    )
+    cameras = [
+        CameraObservations.from_corners(CAMERA_MODELS[model], px, skew=True, whitening=w)
+        for px, w in ((left_px, whitening), (corners.right_px, None))
+    ]
+    added = replace(CAMERA_MODELS[model], name="not compiled")
+    arrays = ([c.parameters for c in (rig.left, rig.right)], poses.R, poses.t, rig.T_right_left.R, rig.T_right_left.t)
+    if is_batch:
+        cameras = [c.each_view_alone() for c in cameras]
+        parameters, R, t, R_rig, t_rig = arrays
+        arrays = (
+            [np.broadcast_to(p, (4, len(p))) for p in parameters],
+            R[:, None],
+            t[:, None],
+            np.broadcast_to(R_rig, (4, 3, 3)),
+            np.broadcast_to(t_rig, (4, 3)),
+        )
+    estimate = BundleEstimate(tuple(arrays[0]), *arrays[1:])
+    points = np.ascontiguousarray(corners.object_points_m.T)
+    compiled = BundleProblem(points, tuple(cameras))
+    plain = BundleProblem(points, tuple(replace(c, model=added) for c in cameras))
+    assert not added.is_compiled and isinstance(added, CameraModel)
+    return compiled, plain, estimate, np.full(4, 0.3) if is_batch else np.array(0.3)
+
+
+@pytest.mark.parametrize("kernel", ["squared", "cauchy", "hampel"])
+def test_equations(problems, kernel):
+    compiled, plain, estimate, scale_px = problems
+    one, other = (linearize(problem, estimate, scale_px, kernel) for problem in (compiled, plain))
+    for a, b in zip(one.cameras, other.cameras, strict=True):
+        size = np.abs(a.gram).max(axis=(-1, -2), keepdims=True)
+        assert np.abs(a.gram - b.gram).max() < 1e-10 * size.max()
+        np.testing.assert_allclose(b.r2_px2, a.r2_px2, rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(b.cost_px2, a.cost_px2, rtol=1e-8)
+    for a, b in zip(residual_lengths2(compiled, estimate), residual_lengths2(plain, estimate), strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-8, atol=1e-12)
+
+
+def test_points_behind_the_camera_are_impossible(problems):
+    compiled, plain, estimate, scale_px = problems
+    behind = replace(estimate, t_left_board=-estimate.t_left_board)
+    for a, b in zip(*(linearize(p, behind, scale_px, "squared").cameras for p in (compiled, plain)), strict=True):
+        assert np.array_equal(np.isinf(a.cost_px2), np.isinf(b.cost_px2))
+        assert np.isinf(a.cost_px2).any() != compiled.cameras[0].model.sees_behind
