@@ -9,7 +9,7 @@ from binocal.formats.rig_file import load_rig
 from rigs import assert_same_rig, make_calibration, make_rig
 
 
-def test_both_formats_come_through_one_door(tmp_path):
+def test_one_function_reads_both_formats(tmp_path):
     calibration = make_calibration()
     rig_json.write_calibration(tmp_path / "rig.json", calibration)
     assert_same_rig(load_rig(tmp_path / "rig.json"), calibration.rig)

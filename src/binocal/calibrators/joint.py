@@ -1,4 +1,4 @@
-"""The road of every calibrator that ends in the joint problem.
+"""What every calibrator does that ends in the joint problem.
 
 Closed-form start, view diagnosis, joint robust solve, judgement. Calibrators differ in the minimiser that they bring.
 """

@@ -127,7 +127,11 @@ def calibrate(
     ] = None,
     calibrator: Annotated[
         str,
-        typer.Option("--calibrator", help="drl, drl-increments, lm, or weights that train wrote.", metavar="NAME"),
+        typer.Option(
+            "--calibrator",
+            help="drl, drl-increments, lm, weights that train wrote, or what another package adds.",
+            metavar="NAME",
+        ),
     ] = "drl",
     model: Annotated[
         Model, typer.Option("--model", help="Camera model; auto picks by held-out error.", metavar=MODELS)
