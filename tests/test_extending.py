@@ -22,7 +22,9 @@ from binocal.formats.registry import known_formats, load_format
 from binocal.formats.rig_file import load_rig
 from binocal.metrics.image import pixel_error
 from binocal.metrics.order import order_corners
+from binocal.metrics.pose import in_model
 from binocal.rectification import rectify
+from binocal.solvers.covariance import cramer_rao_bound
 from contracts import (
     CALIBRATOR_CONTRACT,
     CAMERA_CONTRACT,
@@ -138,6 +140,9 @@ def test_a_rig_of_the_added_model_is_good_for_all_but_solving(examples, tmp_path
     error = pixel_error(rig, ordered.detections, ordered.T_left_board)
     assert 0.12 < error.all_px < 0.15  # sqrt(2) times the noise, less what five poses take up
     assert rectify(rig).P_left[0, 0] > 0
+    assert in_model(rig.left, "division1") is not None and in_model(rig.left, "brown4") is None  # another k1
+    bound = cramer_rao_bound(rig, detections.object_points_m, ordered.T_left_board, 0.1)
+    assert 0 < bound.sigma["left.k1"] < 0.01 and len(bound.names) == 6 + 2 * 5
     with pytest.raises(binocal.DataError, match="division1"):
         load_format("opencv").write(tmp_path / "rig.yml", rig)
     with pytest.raises(ValueError, match="'division1' cannot be solved with: the compiled solver knows brown4"):

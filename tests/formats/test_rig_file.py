@@ -5,8 +5,9 @@ import pytest
 
 from binocal.errors import FormatError
 from binocal.formats import opencv_yaml, rig_json
+from binocal.formats.detections_npz import write_detections
 from binocal.formats.rig_file import load_rig
-from rigs import assert_same_rig, make_calibration, make_rig
+from rigs import assert_same_rig, make_calibration, make_detections, make_poses, make_rig
 
 
 def test_one_function_reads_both_formats(tmp_path):
@@ -21,6 +22,9 @@ def test_one_function_reads_both_formats(tmp_path):
 
 
 def test_a_file_that_holds_no_rig_is_named(tmp_path):
+    write_detections(tmp_path / "corners.npz", make_detections(make_rig(), make_poses(1, np.random.default_rng(0))))
+    with pytest.raises(FormatError, match="holds corners, not a rig"):
+        load_rig(tmp_path / "corners.npz")
     (tmp_path / "rig.json").write_text("{}")
     with pytest.raises(FormatError, match=r"rig\.json"):
         load_rig(tmp_path / "rig.json")

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from binocal.cameras import StereoRig
+from binocal.errors import FormatError
 from binocal.formats import opencv_yaml, rig_json
+from binocal.formats.detections_npz import is_detections_file
 from binocal.formats.registry import find_format
 
 
@@ -22,5 +24,7 @@ def load_rig(path: str | Path) -> StereoRig:
     found = find_format(path)
     if found is not None:
         return found.read(path)
+    if is_detections_file(path):
+        raise FormatError(path, "holds corners, not a rig; name the rig.json that was calibrated from them")
     # nobody knows it: the reader that its name suggests says what is wrong
     return rig_json.read_rig(path) if path.suffix.lower() == ".json" else opencv_yaml.read_opencv(path)

@@ -166,7 +166,8 @@ def _camera_values(
 
 
 def _is_one_family(one: str, other: str) -> bool:
-    return (one == "fisheye4") == (other == "fisheye4")
+    """Whether coefficients of one name mean the same in both: the models share their projection."""
+    return camera_model(one).project is camera_model(other).project
 
 
 def _root_sum_square(sigma: Mapping[str, float], block: str) -> float:
