@@ -135,12 +135,12 @@ class _Package(ModuleType):
     """
 
     @property
-    def __spec__(self) -> Any:  # type: ignore[override]
+    def __spec__(self) -> Any:  # type: ignore[override] # pyright: ignore
         register_if_loaded()
         return vars(self)["__spec__"]
 
     @__spec__.setter
-    def __spec__(self, spec: Any) -> None:
+    def __spec__(self, spec: Any) -> None:  # pyright: ignore
         vars(self)["__spec__"] = spec
 
 

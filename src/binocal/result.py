@@ -205,6 +205,7 @@ class StereoCalibration:
 
     def _check_residuals(self, used: Detections) -> None:
         """Raises DataError: a view's corners are not as many, or not as far from their predictions, as the calibration says."""
+        assert self.T_left_board is not None  # with_evidence asked before
         in_left = self.T_left_board.apply(used.object_points_m)
         n_seen = used.left_is_seen.sum(axis=1) + used.right_is_seen.sum(axis=1)
         for i, view in enumerate(self.views):

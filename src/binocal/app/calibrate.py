@@ -24,11 +24,11 @@ class CalibrationRun:
     """
 
     calibration: StereoCalibration
+    detections: Detections
+    """All corners as detected, those of rejected views too."""
     ignored: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     elapsed_s: Mapping[str, float] = field(default_factory=dict)
-    detections: Detections | None = None
-    """All corners as detected, those of rejected views too."""
 
 
 def calibrate_images(
@@ -69,7 +69,7 @@ def calibrate_images(
     choice = calibration.provenance.get("view_choice")
     notes = (*found.notes, f"{choice['reason']}.") if choice else found.notes
     elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
-    return CalibrationRun(calibration, found.ignored, notes, elapsed_s, detections)
+    return CalibrationRun(calibration, detections, found.ignored, notes, elapsed_s)
 
 
 def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:

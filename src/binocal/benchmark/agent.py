@@ -119,12 +119,12 @@ def count_wrong_minima(n_rigs: int, seed: int, *, calibrator: str = "drl") -> di
             rng, baseline_m=rng.uniform(*options.baseline_m), field_deg=rng.uniform(*options.field_deg), size_wh=SIZE_WH
         )
         scene = StereoScene(rig, board, sample_board_poses(rig, board, options.n_views, rng, options.poses))
-        px = [
+        left_px, right_px = (
             corrupt_corners(side[None], rng.uniform(*options.noise_px, 1), options, rng)[0] for side in scene.project()
-        ]
+        )
         wrong_views = rng.permutation(options.n_views)[: round(options.reversed_share * options.n_views)]
-        px[1][wrong_views] = px[1][wrong_views][:, ::-1]
-        detections = Detections.from_arrays(board.object_points_m, *px, SIZE_WH)
+        right_px[wrong_views] = right_px[wrong_views][:, ::-1]
+        detections = Detections.from_arrays(board.object_points_m, left_px, right_px, SIZE_WH)
         try:
             found = calibrate(detections, calibrator=calibrator, model="brown4")
         except BinocalError:

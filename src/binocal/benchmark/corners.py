@@ -87,7 +87,8 @@ def _shoot(case: _Case, seed: int) -> tuple[ndarray, Float[ndarray, "n 2"], Floa
     rendered = render_image(camera, SE3(R, place - R @ points.mean(axis=0)), board, RenderOptions(**case.options), rng)
     image = rendered.image
     if case.is_jpeg:
-        image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], cv2.IMREAD_GRAYSCALE)
+        content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+        image = np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))
     start = rendered.corners_px + rng.uniform(-MAX_START_PX, MAX_START_PX, rendered.corners_px.shape)
     return image, rendered.corners_px, start
 
@@ -96,7 +97,7 @@ def _edges(corners: Float[ndarray, "n 2"]) -> tuple[Float[ndarray, "n 2"], Float
     """Directions (radians) of the two edges through each true corner, and the distance to the next edge, px."""
     board = parse_board(BOARD)
     grid = corners.reshape(board.rows, board.columns, 2)
-    along_x, along_y = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    along_x, along_y = (np.asarray(np.gradient(grid, axis=axis)) for axis in (1, 0))
     cross = np.abs(along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0])
     reach = cross / np.maximum(np.linalg.norm(along_x, axis=-1), np.linalg.norm(along_y, axis=-1))
     angles = np.stack([np.arctan2(d[..., 1], d[..., 0]) for d in (along_x, along_y)], axis=-1)

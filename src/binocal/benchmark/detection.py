@@ -70,21 +70,27 @@ def draw_detection_scene(seed: int, index: int) -> DetectionScene:
     width, height = SIZE_WH
     camera = Camera("brown4", SIZE_WH, np.r_[1.1 * width, 1.1 * width, width / 2, height / 2, 0, -0.1, 0.02, 0, 0])
     black, white = rng.uniform(15, 70), rng.uniform(140, 235)
-    options = {"black_dn": black, "white_dn": white, "background_dn": rng.uniform(60, 170)}
-    options["clutter_dn"] = rng.uniform(15, 60)
+    background_dn, clutter_dn = rng.uniform(60, 170), rng.uniform(15, 60)
     noise_dn = float(np.exp(rng.uniform(*np.log(NOISES_DN))))
     has_board = rng.uniform() >= SHARE_WITHOUT_BOARD
+    T_camera_board, text = BESIDE_THE_IMAGE, "no board, "
     corners, short = None, np.inf
     while has_board and corners is None:
         T_camera_board, share, tilt_rad = _draw_pose(camera, board, rng)
         corners, short = _true_corners(camera, T_camera_board, board)
+        text = f"{share:.0%} wide, tilt {np.degrees(tilt_rad):.0f} deg, side {short:.1f}, "
     blur_px = float(np.exp(rng.uniform(*np.log(BLURS_PX))))
     if has_board:
         blur_px = min(blur_px, short / LEAST_SIDE_PER_BLUR)
-        text = f"{share:.0%} wide, tilt {np.degrees(tilt_rad):.0f} deg, side {short:.1f}, "
-    else:
-        T_camera_board, text = BESIDE_THE_IMAGE, "no board, "
-    render = RenderOptions(blur_px=blur_px, shading=tuple(rng.uniform(-0.3, 0.3, 2)), **options)
+    slope_x, slope_y = rng.uniform(-0.3, 0.3, 2)
+    render = RenderOptions(
+        blur_px=blur_px,
+        shading=(slope_x, slope_y),
+        black_dn=black,
+        white_dn=white,
+        background_dn=background_dn,
+        clutter_dn=clutter_dn,
+    )
     light = render_light(camera, T_camera_board, board, render, rng)
     shadow, shade = _draw_shadow(rng)
     light = light * shadow + np.float32(noise_dn) * rng.standard_normal(light.shape, dtype=np.float32)

@@ -11,7 +11,7 @@ from typing import Any
 class _BorrowedSetting:
     """A process-wide setting that several threads may hold at one value; the last to leave restores the caller's."""
 
-    def __init__(self, value: Any, access: Callable[[], tuple[Callable[[], Any], Callable[[Any], None]]]) -> None:
+    def __init__(self, value: Any, access: Callable[[], tuple[Callable[[], Any], Callable[[Any], Any]]]) -> None:
         self._value, self._access = value, access
         self._lock, self._depth, self._before = threading.Lock(), 0, None
 
@@ -33,13 +33,13 @@ class _BorrowedSetting:
                     write(self._before)
 
 
-def _log_level() -> tuple[Callable[[], Any], Callable[[Any], None]]:
+def _log_level() -> tuple[Callable[[], Any], Callable[[Any], Any]]:
     from cv2.utils import logging
 
     return logging.getLogLevel, logging.setLogLevel
 
 
-def _threads() -> tuple[Callable[[], Any], Callable[[Any], None]]:
+def _threads() -> tuple[Callable[[], Any], Callable[[Any], Any]]:
     import cv2
 
     return cv2.getNumThreads, cv2.setNumThreads

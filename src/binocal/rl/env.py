@@ -166,7 +166,7 @@ class StereoExtrinsicsEnv(gymnasium.Env[ndarray, ndarray]):
     Never truncates by itself: ``gymnasium.make`` adds the time limit.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # pyright: ignore
 
     def __init__(self, render_mode: None = None, **options: Any) -> None:
         """Takes the fields of :class:`EnvOptions` as keywords. There is nothing to render."""

@@ -76,7 +76,7 @@ class LearnedController:
         seen = observation(problem, TaskState(state, memory["last_action"], memory["n_steps"]), kind)
         raw = self.policy(seen)
         n_rejected = np.where(state.is_kept, 0, memory["n_rejected"] + 1)
-        is_sound = np.isfinite(raw).all(axis=-1)
+        is_sound = np.asarray(np.isfinite(raw).all(axis=-1))
         action = steering_action(raw, state) if kind == AgentKind.DRL else increment_action(problem, state, raw)
         if not is_sound.all():
             action = replace(action, damping=np.where(is_sound, action.damping, np.nan))

@@ -203,10 +203,12 @@ def corrupt_corners(
 ) -> Float[ndarray, "rigs views n 2"]:
     """Noise on every coordinate, and outlying corners."""
     out = px + noise_px[:, None, None, None] * rng.standard_normal(px.shape)
-    share = rng.uniform(*options.outlier_share, len(px))[:, None, None]
+    least, most = options.outlier_share
+    share = rng.uniform(least, most, len(px))[:, None, None]
     is_outlier = rng.random(px.shape[:-1]) < share
     angle = rng.uniform(0, 2 * np.pi, px.shape[:-1])
-    distance = np.exp(rng.uniform(*np.log(options.outlier_px), px.shape[:-1]))
+    near, far = np.log(options.outlier_px)
+    distance = np.exp(rng.uniform(near, far, px.shape[:-1]))
     shift = distance[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return np.where(is_outlier[..., None], out + shift, out)
 

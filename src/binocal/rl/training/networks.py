@@ -22,6 +22,9 @@ class Actor(nn.Module):
     ``centre`` is the action that an untrained actor takes, whatever it sees.
     """
 
+    mean: Tensor
+    spread: Tensor
+
     def __init__(
         self, n_observed: int, n_actions: int, widths: tuple[int, ...], centre: tuple[float, ...] | None = None
     ) -> None:
@@ -30,6 +33,7 @@ class Actor(nn.Module):
         self.register_buffer("mean", torch.zeros(n_observed))
         self.register_buffer("spread", torch.ones(n_observed))
         last = self.body[-1]
+        assert isinstance(last, torch.nn.Linear)
         with torch.no_grad():
             last.weight *= 0.01
             last.bias.copy_(torch.atanh(torch.tensor(centre or (0.0,) * n_actions)))

@@ -119,7 +119,7 @@ class TD3:
             rate = 1.0
         with torch.no_grad():
             for online, target in self._followed:
-                torch._foreach_lerp_(target, online, rate)
+                torch._foreach_lerp_(target, online, rate)  # pyright: ignore - its stub knows no Parameter
 
     def target_lag(self) -> float:
         """RMS difference of the actor's parameters and its target's."""

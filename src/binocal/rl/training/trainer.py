@@ -44,10 +44,8 @@ TRAINING_SETS: tuple[tuple[RigDistribution, float], ...] = tuple(
 )
 """Distributions that the shipped agents train on, and standard deviations from the optimum that end an episode."""
 
-CENTRES: dict[AgentKind, tuple[float, ...] | None] = {
-    AgentKind.DRL: (-0.1, 0.0, 0.0, 0.0, 0.8, -0.1),
-    AgentKind.DRL_INCREMENTS: None,
-}
+CORRECTED_STEP = (-0.1, 0.0, 0.0, 0.0, 0.8, -0.1)
+CENTRES = {AgentKind.DRL: CORRECTED_STEP, AgentKind.DRL_INCREMENTS: None}
 """What an untrained actor does, and where random actions begin: a corrected step; nothing at all."""
 
 UPDATES_PER_TRACE = 50  # of the loss and the target lag that the figure draws
@@ -317,7 +315,7 @@ class Training:
     def _random(self, observed: Float[ndarray, "n o"]) -> Float[ndarray, "n a"]:
         """Random actions around a corrected Gauss-Newton step, or around that step itself as an increment."""
         if self.options.kind == AgentKind.DRL:
-            return np.clip(CENTRES[AgentKind.DRL] + self.rng.normal(0, 0.3, (len(observed), 6)), -1, 1)
+            return np.clip(CORRECTED_STEP + self.rng.normal(0, 0.3, (len(observed), 6)), -1, 1)
         return np.clip(observed[:, -6:] / INCREMENT_REACH + self.rng.normal(0, 0.1, (len(observed), 6)), -1, 1)
 
     def _store(self, t: Transitions) -> None:
