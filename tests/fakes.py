@@ -14,6 +14,7 @@ import pytest
 
 import binocal.metrics.held_out  # noqa: F401 - bound to the real simulation
 from binocal.calibrators import load_calibrator
+from binocal.findings import finding
 from binocal.result import Covariance, Evidence, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 from binocal.simulation import StereoScene
 from rigs import make_detections, make_poses, make_rig
@@ -113,7 +114,7 @@ class FakePackages:
             noise_px=0.08,
             views=views,
             evidence=Evidence(detections, self.poses),
-            warnings=("left and right look exchanged; swap --left and --right.",),
+            findings=(finding("cameras-exchanged"),),
             provenance={"iterations": 5},
         )
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from binocal import boards
 from binocal.cameras import Camera, StereoRig
 from binocal.evidence import Detections
+from binocal.findings import Finding, Severity, finding
 from binocal.geometry import SE3, so3
 from binocal.result import (
     Covariance,
@@ -88,7 +89,7 @@ def make_calibration(rig: StereoRig | None = None, n_views: int = 1) -> StereoCa
         ),
         evidence=Evidence(detections, poses),
         rejected=(RejectedView("02", "no board found in the left image"),),
-        warnings=("left and right look exchanged",),
+        findings=(finding("cameras-exchanged"),),
         n_iterations=7,
         provenance={"seed": 0, "cost": float("inf"), "version": "x", "shape": (1, 2), "n": np.int64(3)},
     )
@@ -145,6 +146,14 @@ def detections(draw) -> Detections:
 
 
 any_text = st.text(st.characters(), max_size=8)  # lone surrogates too: names of files may hold bytes that are no UTF-8
+
+
+@st.composite
+def findings(draw):
+    figures = st.dictionaries(any_text, st.one_of(any_text, st.integers(-9, 9), st.floats(-1e3, 1e3)), max_size=3)
+    return Finding(draw(any_text), draw(st.sampled_from(Severity)), draw(any_text), draw(any_text), draw(figures))
+
+
 any_number = st.floats(allow_infinity=False) | st.floats(1e-9, 1e3)
 
 
@@ -185,7 +194,7 @@ def calibrations(draw) -> StereoCalibration:
         noise_px=draw(any_number),
         views=views,
         rejected=tuple(RejectedView(draw(any_text), draw(any_text)) for _ in range(draw(st.integers(0, 2)))),
-        warnings=tuple(draw(st.lists(any_text, max_size=2))),
+        findings=tuple(draw(st.lists(findings(), max_size=2))),
         n_iterations=draw(st.integers(0, 1000)),
         provenance=draw(st.dictionaries(any_text, json_value, max_size=3)),
         T_left_board=SE3(so3.exp(rng.standard_normal((n, 3))), rng.standard_normal((n, 3))) if has_poses else None,

@@ -13,6 +13,7 @@ from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.detection.found import not_found
 from binocal.evidence import Detections
+from binocal.findings import finding
 from binocal.simulation import sample_scene, simulate_detections, table2_rig
 
 COPIES = {
@@ -37,6 +38,7 @@ def values():
         "calibration": calibration(),
         "board": parse_board("chessboard:9x6:30mm"),
         "found": not_found(4, "nothing"),
+        "finding": finding("focal-length-uncertain", camera="left", sigma_percent=1.2),
         "detections": Detections.from_arrays(np.eye(2, 3), np.ones((1, 2, 2)), np.ones((1, 2, 2)), (4, 3), **corners),
     }
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         TooFewViewsError,
     )
     from binocal.evidence import Detections
+    from binocal.findings import Finding, Severity
     from binocal.formats.detections_npz import read_detections, write_detections
     from binocal.formats.rig_json import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
@@ -63,6 +64,7 @@ _HOMES = {
     "binocal.formats.detections_npz": ("read_detections", "write_detections"),
     "binocal.formats.rig_json": ("read_calibration", "read_rig", "write_calibration"),
     "binocal.geometry": ("SE3",),
+    "binocal.findings": ("Finding", "Severity"),
     "binocal.threads": ("set_threads",),
     "binocal.result": (
         "Covariance",
@@ -87,6 +89,7 @@ __all__ = [
     "DegenerateGeometryError",
     "DetectionError",
     "Detections",
+    "Finding",
     "FormatError",
     "InconsistentViewsError",
     "MissingExtraError",
@@ -96,6 +99,7 @@ __all__ = [
     "PluginError",
     "RejectedView",
     "ResidualSummary",
+    "Severity",
     "StereoCalibration",
     "StereoRig",
     "TooFewPointsError",

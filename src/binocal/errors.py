@@ -28,7 +28,12 @@ from typing import Any
 
 
 class BinocalError(Exception):
-    """Base of every error that binocal raises on purpose. Its text and its fields survive pickling and copying."""
+    """Base of every error that binocal raises on purpose. Its text and its fields survive pickling and copying.
+
+    ``findings`` are the :class:`binocal.findings.Finding` values that it was raised for, of refusals.
+    """
+
+    findings: tuple[Any, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A constructor that takes fields cannot be called with the text that Exception keeps."""

@@ -12,6 +12,7 @@ from numpy import ndarray
 from binocal.cameras import StereoRig
 from binocal.errors import DataError
 from binocal.evidence import Detections
+from binocal.findings import Finding, Severity
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
 from binocal.values import ArrayValue, frozen_array
@@ -108,10 +109,11 @@ class ViewResult:
 
 @dataclass(frozen=True, slots=True)
 class RejectedView:
-    """A view that was not used, and why."""
+    """A view that was not used, and why; ``code`` is that of the finding, where it is one."""
 
     name: str
     reason: str
+    code: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +133,7 @@ class Evidence:
 class StereoCalibration:
     """The result of every calibrator.
 
-    ``warnings`` are sentences for the user, the gravest first. ``provenance`` holds versions, calibrator, options,
+    ``findings`` are warnings and notes for the user, the gravest first. ``provenance`` holds versions, calibrator, options,
     model choice.
     """
 
@@ -143,7 +145,7 @@ class StereoCalibration:
     equal corners that would tell as much."""
     views: tuple[ViewResult, ...]
     rejected: tuple[RejectedView, ...] = ()
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     n_iterations: int = 0
     provenance: Mapping[str, Any] = field(default_factory=dict)
     evidence: Evidence | None = None
@@ -160,6 +162,11 @@ class StereoCalibration:
         if self.evidence is not None:
             object.__setattr__(self, "T_left_board", self.evidence.T_left_board)
             object.__setattr__(self, "misfit_px", self.evidence.misfit_px)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The sentences of the findings that are warnings."""
+        return tuple(found.text for found in self.findings if found.severity is Severity.WARNING)
 
     def with_evidence(self, detections: Detections) -> StereoCalibration:
         """The calibration with the corners that it was made from: ``detections`` as they were before it (views by name).

@@ -53,7 +53,7 @@ def test_a_calibration_comes_back_whole(tmp_path):
         and back.views[0].note == "turned by 180 deg"
     )
     assert back.views[0].outliers == calibration.views[0].outliers and back.views[0].n_outliers == 1
-    assert back.rejected == calibration.rejected and back.warnings == calibration.warnings
+    assert back.rejected == calibration.rejected and back.findings == calibration.findings
     assert back.rms == calibration.rms and back.noise_px == calibration.noise_px and back.n_iterations == 7
     assert back.evidence is None
     np.testing.assert_array_equal(back.T_left_board.t, calibration.evidence.T_left_board.t)

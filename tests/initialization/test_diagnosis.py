@@ -83,7 +83,7 @@ def test_a_clean_rig_starts_at_the_noise() -> None:
     diagnosis = diagnose_views(rig.detections())
     _is_right(diagnosis, rig)
     assert diagnosis.rms_px == pytest.approx(0.2 * np.sqrt(2), rel=0.1)
-    assert not diagnosis.warnings
+    assert not diagnosis.findings
 
 
 @pytest.mark.parametrize(("share", "size_px"), [(0.05, 5), (0.05, 50), (0.1, 50)])
@@ -137,7 +137,7 @@ def test_all_left_views_flipped_are_repaired_and_said() -> None:
     rig = simulate(4)
     diagnosis = diagnose_views(rig.detections(left_px=rig.left_px[:, ::-1]))
     assert diagnosis.is_used.all() and all("left corner order was reversed" in note for note in diagnosis.notes)
-    assert any("other end" in warning for warning in diagnosis.warnings)
+    assert [found.code for found in diagnosis.findings] == ["corner-orders-repaired"]
     _is_right(diagnosis, rig)
 
 
@@ -179,7 +179,7 @@ def test_unrelated_pairs_are_refused() -> None:
 def test_left_and_right_exchanged_is_said_and_still_calibrated() -> None:
     rig = simulate(10)
     diagnosis = diagnose_views(rig.detections(rig.right_px, rig.left_px))
-    assert any("exchange --left and --right" in warning for warning in diagnosis.warnings)
+    assert "cameras-exchanged" in [found.code for found in diagnosis.findings]
     np.testing.assert_allclose(diagnosis.T_right_left.t, T_RIGHT_LEFT.inverse().t, atol=3e-3)
 
 
@@ -253,7 +253,7 @@ def test_a_smaller_right_camera_is_no_fault() -> None:
 
 def test_a_image_size_off_in_one_axis_is_warned_of() -> None:
     assert any(
-        "check the image size" in warning for warning in diagnose_views(_size(simulate(14), 1920, 1080)).warnings
+        "check the image size" in found.remedy for found in diagnose_views(_size(simulate(14), 1920, 1080)).findings
     )
 
 

@@ -1,22 +1,23 @@
 """What every calibrator does that ends in the joint problem.
 
-Closed-form start, view diagnosis, joint robust solve, judgement. Calibrators differ in the minimiser that they bring.
+Closed-form start, view diagnosis, joint robust solve, acceptance. Calibrators differ in the minimiser that they bring.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy import ndarray
 
-from binocal.calibrators import trust
+from binocal import acceptance
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
+from binocal.findings import Finding
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
 from binocal.initialization.verified_start import estimate_verified_start
 from binocal.result import RejectedView, StereoCalibration
@@ -30,21 +31,11 @@ from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
-CLEAN_IMAGE_OUTLIER_SHARE = 0.05  # of one image: four corners of 88
-CLEAN_RATIO = 2.0  # RMS of the worst image over the median one's; noise alone reaches 1.3 at 88 corners, 1.7 at 12
-CLEAN_HOMOGRAPHY_RATIO = 1.2  # over what free homographies leave, lens and all
-CLEAN_NOISE_SHARE = 0.01  # corner noise over corner spacing: half of what small real images reach
-CLEAN_SPACING_VIEWS = 4  # tell the spacing to a tenth, which is all that this doubt needs
-CLEAN_CENTRE_SHARE = 0.08  # of the image's size; lenses sit within 0.1
-CLEAN_FOCAL_SIGMA_SHARE = 0.005  # the scene's geometry is then beyond question: weak sets start at 0.01
-CLEAN_BASELINE_SIGMA_SHARE = 0.02
 MISFIT_ROUNDS = 3  # the second usually finds nothing to change
 MISFIT_SHARE = 0.1  # of the noise variance; less changes the weights by too little to matter
-MIN_VIEW_INLIER_SHARE = (
-    0.5  # a view most of whose corners in one camera contradict the rest is not an observation of this board
-)
 
 
+@runtime_checkable
 class Minimizer(Protocol):
     """What finds a robust minimum near a start, as :func:`binocal.solvers.least_squares.minimize` does."""
 
@@ -87,11 +78,11 @@ def calibrate_jointly(
         start = _start(diagnosis, used) if start is None else start
         problem, minimum, misfit_px, n = solve_with_misfit(views, request, start, partial(_solve, minimizer))
         n_iterations += n
-        bad = _misfits(views, problem, minimum) if minimum.is_converged else {}
+        bad = _contradicting(views, problem, minimum) if minimum.is_converged else {}
         if not bad:
             break
         keep = np.array([i not in bad for i in range(len(used))])
-        rejected += tuple(RejectedView(views.names[i], reason) for i, reason in bad.items())
+        rejected += tuple(RejectedView(views.names[i], found.text, found.code) for i, found in bad.items())
         start = _take_views(minimum.estimate, keep)
         used = used[keep]
 
@@ -102,11 +93,11 @@ def calibrate_jointly(
         request,
         rejected=rejected,
         notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
-        warnings=diagnosis.warnings,
+        findings=diagnosis.findings,
         n_iterations=n_iterations,
         misfit_px=misfit_px,
     )
-    return trust.judged(calibration, is_converged=bool(minimum.is_converged))
+    return acceptance.judge(calibration, is_converged=bool(minimum.is_converged))
 
 
 def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
@@ -124,11 +115,9 @@ def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
 def _calibrate_clean(
     detections: Detections, request: CalibrationRequest, minimizer: Minimizer
 ) -> StereoCalibration | None:
-    """The calibration of views in which nothing is wrong, or None where that is not proven.
+    """The calibration of views in which nothing is wrong, or None where that is not proven (:mod:`binocal.acceptance.proof`).
 
-    Verification is cheaper than diagnosis: a rig that fits every image as well as a homography of the image's own,
-    gives every corner weight, and is well determined leaves nothing to repair, to reject or to warn of. Any doubt, and
-    the long way decides and names the culprit.
+    With any doubt the views are diagnosed, which names the culprit.
     """
     if detections.n_views < MIN_VIEWS:
         return None
@@ -151,53 +140,28 @@ def _calibrate_clean(
             request,
             rejected=(),
             notes={},
-            warnings=(),
+            findings=(),
             n_iterations=n_iterations,
             misfit_px=misfit_px,
         )
-        warnings = trust.check_observability(calibration)
     except CalibrationError:
         return None
-    # check_fit asks for less than what is asked for here
-    return calibration if not warnings and _is_beyond_doubt(calibration) else None
+    # The rules about the fit ask for less than the proof does.
+    doubts = acceptance.findings_of_rules(calibration, (*acceptance.OBSERVABILITY, *acceptance.OUTLIERS))
+    return calibration if not doubts and acceptance.is_beyond_doubt(calibration) else None
 
 
 def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float) -> bool:
-    """Whether every image fits alike, and all of them as well as homographies of their own."""
-    used = inliers(problem, minimum)
     n_seen = np.concatenate([camera.is_seen.sum(axis=1) for camera in problem.cameras])
-    n_used = np.concatenate([is_used.sum(axis=1) for is_used in used])
-    if (n_used < (1 - CLEAN_IMAGE_OUTLIER_SHARE) * n_seen).any():
-        return False
-    whitened2 = _sums(tuple(e.r2_px2 for e in minimum.equations.cameras), used)
-    plain2 = _sums(plain_lengths2(problem, minimum), used) if problem.is_whitened else whitened2
-    mean2 = np.sort(whitened2 / n_seen)
-    even = mean2[-1] < CLEAN_RATIO**2 * max(mean2[len(mean2) // 2], robust.SCALE_FLOOR_PX**2)
-    rms_px = np.sqrt(plain2.sum() / (2 * n_seen.sum()))
-    return bool(even and rms_px < CLEAN_HOMOGRAPHY_RATIO * homography_px + robust.SCALE_FLOOR_PX)
+    whitened2 = tuple(e.r2_px2 for e in minimum.equations.cameras)
+    plain2 = plain_lengths2(problem, minimum) if problem.is_whitened else whitened2
+    return acceptance.fits_evenly(n_seen, inliers(problem, minimum), whitened2, plain2, homography_px)
 
 
-def _sums(lengths2: tuple[ndarray, ...], used: tuple[ndarray, ...]) -> Float[ndarray, "images"]:
-    """Sum over the used corners of every image."""
-    return np.concatenate([np.where(u, px2, 0.0).sum(axis=1) for px2, u in zip(lengths2, used, strict=True)])
-
-
-def _is_beyond_doubt(calibration: StereoCalibration) -> bool:
-    """Whether the rig is so well determined and so ordinary that no check of the long way could object."""
-    rig, sigma = calibration.rig, calibration.covariance.sigma
-    if calibration.warnings or rig.is_swapped:
-        return False
-    spacing_px = trust.corner_spacing_px(calibration.evidence.detections, CLEAN_SPACING_VIEWS)
-    if not calibration.noise_px < CLEAN_NOISE_SHARE * spacing_px:
-        return False
-    for side, camera in (("left", rig.left), ("right", rig.right)):
-        size = np.array(camera.size_wh)
-        offset = np.abs(camera.parameters[2:4] - (size - 1) / 2)
-        focal = [sigma[f"{side}.{name}"] / value for name, value in zip(("fx", "fy"), camera.parameters, strict=False)]
-        if np.any(offset > CLEAN_CENTRE_SHARE * size) or max(focal) > CLEAN_FOCAL_SIGMA_SHARE:
-            return False
-    sigma_t = np.sqrt(sum(sigma[f"translation.{axis}"] ** 2 for axis in "xyz"))
-    return bool(sigma_t < CLEAN_BASELINE_SIGMA_SHARE * rig.baseline_m)
+def _contradicting(views: Detections, problem: BundleProblem, minimum: Minimum) -> dict[int, Finding]:
+    left2, right2 = plain_lengths2(problem, minimum)
+    left_used, right_used = inliers(problem, minimum)
+    return acceptance.contradicting_views(views, (left2, right2), (left_used, right_used))
 
 
 def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
@@ -274,23 +238,6 @@ def _is_better(problem: BundleProblem, a: Minimum, b: Minimum) -> bool:
     scale = np.minimum(a.scale_px, b.scale_px)
     costs = [sum(float(robust.costs(e.r2_px2, scale, "hampel").sum()) for e in m.equations.cameras) for m in (a, b)]
     return costs[0] < costs[1]
-
-
-def _misfits(views: Detections, problem: BundleProblem, minimum: Minimum) -> dict[int, str]:
-    """Views most of whose corners in a camera got no weight, and why."""
-    bad: dict[int, str] = {}
-    lengths2 = plain_lengths2(problem, minimum)
-    for side, camera, px2, used in zip(
-        ("left", "right"), problem.cameras, lengths2, inliers(problem, minimum), strict=True
-    ):
-        n_seen, n_used = camera.is_seen.sum(axis=1), used.sum(axis=1)
-        for i in np.nonzero((n_seen > 0) & (n_used < MIN_VIEW_INLIER_SHARE * n_seen))[0]:
-            typical_px = float(np.sqrt(np.median(px2[i][camera.is_seen[i]])))
-            bad[int(i)] = (
-                f"{n_seen[i] - n_used[i]} of {n_seen[i]} {side} corners contradict the other views "
-                f"(typically {typical_px:.1f} px off); check the corner order and that both images were taken together"
-            )
-    return bad
 
 
 def _take_views(estimate: BundleEstimate, keep: np.ndarray) -> BundleEstimate:

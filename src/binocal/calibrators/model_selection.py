@@ -13,6 +13,7 @@ from binocal.calibrators.summary import joint_problem, rig_of
 from binocal.cameras import CAMERA_MODELS, StereoRig
 from binocal.errors import CalibrationError, DataError, NotConvergedError
 from binocal.evidence import Detections
+from binocal.findings import finding
 from binocal.geometry import SE3
 from binocal.result import Evidence, StereoCalibration
 from binocal.shapes import Float
@@ -204,5 +205,5 @@ def _with_choice(
         "held_out_rms_px": {t.model: t.held_out_rms_px for t in trials if np.isfinite(t.held_out_rms_px)},
         "failures": {t.model: t.failure for t in trials if t.failure},
     }
-    warnings = calibration.warnings + ((f"camera model: {reason}.",) if warn else ())
-    return replace(calibration, provenance={**calibration.provenance, "model_choice": choice}, warnings=warnings)
+    findings = calibration.findings + ((finding("model-choice-weak", reason=reason),) if warn else ())
+    return replace(calibration, provenance={**calibration.provenance, "model_choice": choice}, findings=findings)

@@ -13,6 +13,7 @@ from numpy import ndarray
 from binocal.calibrators.base import CalibrationRequest
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
+from binocal.findings import Finding
 from binocal.geometry import SE3
 from binocal.result import (
     Covariance,
@@ -69,7 +70,7 @@ def summarize(
     *,
     rejected: tuple[RejectedView, ...],
     notes: Mapping[str, str],
-    warnings: tuple[str, ...],
+    findings: tuple[Finding, ...],
     n_iterations: int,
     misfit_px: float = 0.0,
 ) -> StereoCalibration:
@@ -96,7 +97,7 @@ def summarize(
         noise_px=noise_px,
         views=views,
         rejected=rejected,
-        warnings=(*warnings, *_outlier_warning(views)),
+        findings=findings,
         n_iterations=n_iterations,
         provenance={"corner_weights": {"covariances": problem.is_whitened, "misfit_px": misfit_px}},
         evidence=Evidence(detections, SE3(minimum.estimate.R_left_board, minimum.estimate.t_left_board), misfit_px),
@@ -131,16 +132,4 @@ def _view_results(
     return tuple(
         ViewResult(name, all_px, left_px, right_px, n, tuple(outliers.get(i, ())), notes.get(name, ""))
         for i, (name, all_px, left_px, right_px, n) in enumerate(rows)
-    )
-
-
-def _outlier_warning(views: tuple[ViewResult, ...]) -> tuple[str, ...]:
-    n_outliers = sum(v.n_outliers for v in views)
-    n_corners = sum(v.n_corners for v in views)
-    if n_outliers <= 0.01 * n_corners:  # a few wild corners are every real set's share
-        return ()
-    view, worst = max(((v, o) for v in views for o in v.outliers), key=lambda pair: pair[1].distance_px)
-    return (
-        f"{n_outliers} of {n_corners} corners ({100 * n_outliers / n_corners:.1f} %) do not fit and were given no weight; "
-        f"the worst is {worst.camera} corner {worst.corner} of view {view.name}, {worst.distance_px:.1f} px off.",
     )

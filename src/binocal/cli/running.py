@@ -11,6 +11,7 @@ from typing import Any
 
 from binocal.cli.exits import FAILED, FINE, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
 from binocal.errors import BinocalError, CancelledError, MissingExtraError, NotConvergedError, PluginError
+from binocal.findings import finding_document, findings_of
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -57,6 +58,8 @@ def error_code(error: BaseException) -> str:
 def details(error: BaseException) -> dict[str, Any]:
     """The figures that an error carries as fields."""
     figures = {key: value for key, value in vars(error).items() if not key.startswith("_")}
+    if found := findings_of(error):
+        figures["findings"] = [finding_document(one) for one in found]
     notes = getattr(error, "__notes__", [])
     return figures | ({"notes": list(notes)} if notes else {})
 

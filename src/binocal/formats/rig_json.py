@@ -21,6 +21,7 @@ import numpy as np
 from binocal.boards import Board, format_board, parse_board
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.errors import FormatError
+from binocal.findings import UNCODED, Finding, Severity, finding_document
 from binocal.geometry import SE3
 from binocal.output import write_aside
 from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
@@ -91,14 +92,39 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
                 _view_document(view) | ({} if poses is None else {"R": poses.R[index], "T": poses.t[index]})
                 for index, view in enumerate(calibration.views)
             ],
-            "rejected": [{"name": view.name, "reason": view.reason} for view in calibration.rejected],
-            "warnings": calibration.warnings,
+            "rejected": [
+                {"name": view.name, "reason": view.reason} | ({"code": view.code} if view.code else {})
+                for view in calibration.rejected
+            ],
+            **_findings_document(calibration.findings),
             "n_iterations": calibration.n_iterations,
             "provenance": calibration.provenance,
         }
         | ({} if calibration.misfit_px is None else {"misfit_px": calibration.misfit_px})
     )
     return with_unknown_keys(document, calibration.extra)
+
+
+def _findings_document(findings: tuple[Finding, ...]) -> dict[str, Any]:
+    """``findings``, or ``warnings`` as release 0.1 wrote them where the sentences come from one of its files."""
+    if findings and all(found.code == UNCODED for found in findings):
+        return {"warnings": [found.text for found in findings]}
+    return {"findings": [finding_document(found) for found in findings]}
+
+
+def _parse_findings(top: _Node) -> tuple[Finding, ...]:
+    if "findings" not in top.value and "warnings" in top.value:
+        return tuple(Finding(UNCODED, Severity.WARNING, text) for text in top.texts("warnings"))
+    return tuple(
+        Finding(
+            found.text("code"),
+            Severity(found.choice("severity", tuple(Severity))),
+            found.text("text"),
+            found.text("remedy"),
+            found.mapping("figures").value,
+        )
+        for found in top.mappings("findings")
+    )
 
 
 def _view_document(view: ViewResult) -> dict[str, Any]:
@@ -234,7 +260,9 @@ def read_calibration(path: str | Path) -> StereoCalibration:
                 right_rms_px=view.number("right_rms_px", allow_null=True),
                 n_corners=view.integer("n_corners"),
                 outliers=tuple(
-                    OutlierCorner(corner.text("camera"), corner.integer("corner"), corner.number("distance_px"))
+                    OutlierCorner(
+                        corner.text("camera"), corner.integer("corner"), corner.number("distance_px", allow_null=True)
+                    )
                     for corner in view.mappings("outliers")
                 ),
                 note=view.text("note"),
@@ -243,8 +271,11 @@ def read_calibration(path: str | Path) -> StereoCalibration:
             )
             for view in views
         ),
-        rejected=tuple(RejectedView(view.text("name"), view.text("reason")) for view in top.mappings("rejected")),
-        warnings=tuple(top.texts("warnings")),
+        rejected=tuple(
+            RejectedView(view.text("name"), view.text("reason"), view.text("code") if "code" in view.value else "")
+            for view in top.mappings("rejected")
+        ),
+        findings=_parse_findings(top),
         n_iterations=top.integer("n_iterations"),
         provenance=top.mapping("provenance").value,
         T_left_board=_parse_poses(views) if any("R" in view.value for view in views) else None,
@@ -364,6 +395,12 @@ class _Node:
         value = self._get(key, "a text")
         if not isinstance(value, str):
             raise self.fail(key, "a text")
+        return value
+
+    def choice(self, key: str, choices: tuple[str, ...]) -> str:
+        value = self.text(key)
+        if value not in choices:
+            raise self.fail(key, f"one of {', '.join(choices)}")
         return value
 
     def texts(self, key: str) -> list[str]:

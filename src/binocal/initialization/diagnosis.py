@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy import ndarray
 
-from binocal.errors import DataError, DegenerateGeometryError, InconsistentViewsError, TooFewViewsError
+from binocal.errors import TooFewViewsError
 from binocal.evidence import Detections
+from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3
 from binocal.geometry.homography import (
     COINCIDENT,
@@ -50,7 +51,7 @@ class Diagnosis:
 
     ``detections`` are the input with repaired corner orders (rejected views still in place); ``is_used`` marks the
     views to calibrate from, ``rejected`` says why for the others, ``notes`` has a sentence for each repaired view (""
-    for the rest) and ``warnings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and
+    for the rest) and ``findings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and
     weights belong to the corners as they were given, ``R_left_board`` and ``t_left_board`` (NaN where unused) to the
     repaired ones. ``left_weights`` and ``right_weights`` in [0, 1] tell how far the start trusts each repaired
     corner.
@@ -60,7 +61,7 @@ class Diagnosis:
     is_used: Bool[ndarray, "views"]
     rejected: tuple[RejectedView, ...]
     notes: tuple[str, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     left: InitialCamera
     right: InitialCamera
     T_right_left: SE3
@@ -81,7 +82,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
         DegenerateGeometryError: The views leave the intrinsics undetermined.
         TooFewViewsError: Fewer than 3 pairs remain; ``rejected`` says why.
     """
-    reasons: dict[int, str] = {}
+    reasons: dict[int, Finding] = {}
     pixels = [detections.left_px, detections.right_px]
     sizes = [detections.left_size_wh, detections.right_size_wh]
     points = detections.object_points_m
@@ -100,7 +101,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     fits = [_without(fit, ~keep) for fit in fits]
     seen = [fit.is_valid for fit in fits]
     for view in np.flatnonzero(keep & ~seen[0] & ~seen[1]):
-        reasons[int(view)] = "no corners in either camera"
+        reasons[int(view)] = finding("view-without-corners")
     for side in range(2):
         _require(int(seen[side].sum()), detections, reasons)
     cameras = [
@@ -110,7 +111,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     for k, camera in enumerate(("left", "right")):
         _check_degeneracy(camera, cameras[k], points)
     cameras = _share_focal(cameras, fits, points, pixels, sizes, model, has_skew)
-    size_warnings = [_check_size(camera, cameras[k], pixels[k]) for k, camera in enumerate(("left", "right"))]
+    sizes_found = [_check_size(camera, cameras[k], pixels[k]) for k, camera in enumerate(("left", "right"))]
     _require(int(np.sum(cameras[0].is_usable & cameras[1].is_usable)), detections, reasons)
 
     consensus, symmetries = _find_consensus(cameras, detections)
@@ -131,10 +132,8 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
                 motion = symmetries.motions[applied]
                 t[view] = R[view] @ motion.t + t[view]
                 R[view] = R[view] @ motion.R
-            notes[view] = (
-                f"the {('left', 'right')[side]} corner order was {symmetries.names[k]} against the other camera; "
-                "repaired"
-            )
+            camera = ("left", "right")[side]
+            notes[view] = finding("view-reordered", camera=camera, symmetry=symmetries.names[k]).text
     is_used = (cameras[0].is_usable | cameras[1].is_usable) & np.array(
         [i not in reasons for i in range(detections.n_views)]
     )
@@ -144,9 +143,9 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     return Diagnosis(
         detections.reorder("left", orders[0]).reorder("right", orders[1]),
         is_used,
-        tuple(RejectedView(detections.names[i], reasons[i]) for i in sorted(reasons)),
+        tuple(RejectedView(detections.names[i], reasons[i].text, reasons[i].code) for i in sorted(reasons)),
         tuple(notes),
-        tuple([w for w in size_warnings if w] + _rig_warnings(consensus, cameras, notes)),
+        tuple([found for found in sizes_found if found] + _rig_findings(consensus, cameras, notes)),
         cameras[0],
         cameras[1],
         consensus.T_right_left,
@@ -158,9 +157,9 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     )
 
 
-def _require(found: int, detections: Detections, reasons: dict[int, str]) -> None:
+def _require(found: int, detections: Detections, reasons: dict[int, Finding]) -> None:
     if found < MIN_VIEWS:
-        raise TooFewViewsError(found, MIN_VIEWS, {detections.names[i]: reasons[i] for i in sorted(reasons)})
+        raise TooFewViewsError(found, MIN_VIEWS, {detections.names[i]: reasons[i].text for i in sorted(reasons)})
 
 
 def _without(fit: HomographyFit, dropped: Bool[ndarray, "views"]) -> HomographyFit:
@@ -177,7 +176,7 @@ def _without(fit: HomographyFit, dropped: Bool[ndarray, "views"]) -> HomographyF
 
 
 def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: HomographyFit, names: tuple[str, ...]) -> None:
-    """Corners that fit their board, yet lie outside the image, betray a wrong image size (outliers do not fit)."""
+    """Corners that fit their board, yet lie outside the image, show a wrong image size (outliers do not fit)."""
     width, height = size
     slack = np.maximum(_OUTSIDE_PX, 3 * np.nan_to_num(fit.sigma_px))[:, None]
     trusted = fit.weights > 0.5
@@ -192,14 +191,23 @@ def _check_inside(camera: str, px: ndarray, size: tuple[int, int], fit: Homograp
     view, corner = np.unravel_index(int(np.argmax(np.where(outside, beyond, -np.inf))), outside.shape)
     x, y = px[view, corner]
     inside = px[trusted & (np.min(px, axis=-1, where=np.isfinite(px), initial=np.inf) > -0.5 - _OUTSIDE_PX)]
-    hint = "give the size of the image in which the corners were found"
+    hint = None
     if len(inside) == trusted.sum() and np.all(inside <= np.array([height, width]) + _OUTSIDE_PX):
         hint = f"the image size looks swapped: give {height}x{width}"
-    raise DataError(
-        f"{camera} view {names[view]}, corner {corner} at ({x:.1f}, {y:.1f}) px lies outside the {width}x{height} "
-        "image "
-        f"({int(outside.sum())} such corners in {int(outside.any(axis=1).sum())} views); {hint}."
+    found = finding(
+        "corners-outside-image",
+        remedy=hint,
+        camera=camera,
+        view=names[view],
+        corner=int(corner),
+        x_px=float(x),
+        y_px=float(y),
+        width_px=width,
+        height_px=height,
+        n_corners=int(outside.sum()),
+        n_views=int(outside.any(axis=1).sum()),
     )
+    raise refusal(found)
 
 
 def _spacing_px(points: ndarray, fit: HomographyFit) -> Float[ndarray, "views"]:
@@ -212,7 +220,7 @@ def _spacing_px(points: ndarray, fit: HomographyFit) -> Float[ndarray, "views"]:
 
 
 def _check_grid(
-    camera: str, points: ndarray, px: ndarray, fit: HomographyFit, names: tuple[str, ...], reasons: dict[int, str]
+    camera: str, points: ndarray, px: ndarray, fit: HomographyFit, names: tuple[str, ...], reasons: dict[int, Finding]
 ) -> None:
     """Views whose corners are no image of the board; refuses the set where nearly all are, and tries to say why."""
     n_seen = np.isfinite(px[..., 0]).sum(axis=1)
@@ -228,34 +236,22 @@ def _check_grid(
             with np.errstate(all="ignore"):
                 fits_now = (other.status == GOOD) & (other.sigma_px < 0.5 * _OFF_GRID * _spacing_px(points, fit))
             if fits_now.sum() > _MOST * examined.sum():
-                raise InconsistentViewsError(
-                    f"columns and rows are exchanged in the {camera} corners ({int(fits_now.sum())} of "
-                    f"{int(examined.sum())} "
-                    "views fit the board only when read column by column): exchange the board's columns and rows, "
-                    "or give the corners row by row."
+                n_fitting, n_views = int(fits_now.sum()), int(examined.sum())
+                raise refusal(
+                    finding("columns-and-rows-exchanged", camera=camera, n_fitting=n_fitting, n_views=n_views)
                 )
         view = int(np.flatnonzero(off_grid)[0])
-        raise InconsistentViewsError(
-            f"the {camera} corners do not lie on the board's grid in {int(off_grid.sum())} of "
-            f"{int(examined.sum())} views (first: "
-            f"{names[view]}): the board's columns, rows or corner order are wrong; give the board as it is printed."
-        )
+        n_off, n_views = int(off_grid.sum()), int(examined.sum())
+        raise refusal(finding("corners-off-grid", camera=camera, n_off=n_off, n_views=n_views, view=names[view]))
     for view in np.flatnonzero(n_seen > 0):
         i = int(view)
-        where = f"the {camera} corners"
         if off_grid[i]:
-            reasons.setdefault(
-                i, f"{where} do not lie on the board's grid (order or detection is wrong); detect them again"
-            )
+            reasons.setdefault(i, finding("view-off-grid", camera=camera))
         elif fit.status[i] == COINCIDENT:
-            x, y = np.nanmean(px[i], axis=0)
-            reasons.setdefault(
-                i, f"{where} all lie at one point ({x:.0f}, {y:.0f}); mark corners that were not found as NaN"
-            )
+            x, y = np.nanmean(px[i], axis=0).tolist()
+            reasons.setdefault(i, finding("view-at-one-point", camera=camera, x_px=x, y_px=y))
         elif fit.status[i] == COLLINEAR and n_seen[i] >= MIN_POINTS:
-            reasons.setdefault(
-                i, f"{where} lie on one line and determine no pose; show more of the board, less edge-on"
-            )
+            reasons.setdefault(i, finding("view-on-a-line", camera=camera))
 
 
 def _check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> None:
@@ -276,23 +272,16 @@ def _check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> N
         first = ends_px[np.argmax(fresh)]
         fresh &= np.sqrt(np.mean(np.square(ends_px - first), axis=1)) > tolerance
     if n_distinct < MIN_VIEWS:
-        raise DegenerateGeometryError(
-            f"the {camera} camera sees the board in only {n_distinct} different "
-            f"pose{'' if n_distinct == 1 else 's'} in "
-            f"{len(usable)} views: focal length and principal point are undetermined; "
-            "tilt the board 20-45 deg about both axes in at least 3 views."
-        )
+        plural = "" if n_distinct == 1 else "s"
+        raise refusal(finding("too-few-poses", camera=camera, n_poses=n_distinct, plural=plural, n_views=len(usable)))
     check_orientations(initial.vanishing.K, initial.columns, initial.covariance, camera)
     if initial.vanishing.sigma_log_focal > _MAX_SIGMA_LOG_FOCAL:
-        raise DegenerateGeometryError(
-            f"the {camera} camera's focal length is known to ± {100 * initial.vanishing.sigma_log_focal:.0f} % "
-            "only: the boards are "
-            "tilted too little or all alike; tilt the board 20-45 deg about both axes in at least 3 views."
-        )
+        percent = 100 * float(initial.vanishing.sigma_log_focal)
+        raise refusal(finding("tilts-too-small", camera=camera, sigma_percent=percent))
 
 
-def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
-    """A warning, or "", on too large an image size: principal point off the middle, no corner beyond twice that."""
+def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> Finding | None:
+    """A finding, or None, on too large an image size: principal point off the middle, no corner beyond twice that."""
     width, height = initial.size_wh
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     principal = initial.parameters[2:4]
@@ -301,23 +290,23 @@ def _check_size(camera: str, initial: InitialCamera, px: ndarray) -> str:
     offset = centre - principal
     implied = 2 * principal + 1
     if not np.all(far < 1.12 * implied):  # lenses sit a few percent off the middle of their own image too
-        return ""
+        return None
+    figures = {
+        "camera": camera,
+        "x_px": float(principal[0]),
+        "y_px": float(principal[1]),
+        "width_px": width,
+        "height_px": height,
+        "far_x_px": float(far[0]),
+        "far_y_px": float(far[1]),
+        "implied_width_px": float(implied[0]),
+        "implied_height_px": float(implied[1]),
+    }
     if np.all(offset > 0.15 * np.array([width, height])) and np.all(offset > 6 * sigma):
-        raise DataError(
-            f"the {camera} corners fill only the first {far[0]:.0f}x{far[1]:.0f} px of a {width}x{height} "
-            "image, and the principal "
-            f"point ({principal[0]:.0f}, {principal[1]:.0f}) is far from its middle: the image size looks wrong, about "
-            f"{implied[0]:.0f}x{implied[1]:.0f} would fit; give the size of the image in which the corners were "
-            "found."
-        )
+        raise refusal(finding("image-size-wrong", **figures))
     if np.any((offset > 0.1 * np.array([width, height])) & (offset > 6 * sigma)):
-        return (
-            f"the {camera} principal point ({principal[0]:.0f}, {principal[1]:.0f}) is far from the middle of the "
-            f"{width}x{height} image "
-            f"and the corners end at ({far[0]:.0f}, {far[1]:.0f}): check the image size; about "
-            f"{implied[0]:.0f}x{implied[1]:.0f} would fit."
-        )
-    return ""
+        return finding("image-size-suspect", **figures)
+    return None
 
 
 # --- left against right -----------------------------------------------------------------------------------------------
@@ -339,14 +328,17 @@ def _check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits:
         share = ratio if k == 1 else 1 / ratio
         if share < 0.62 and np.all(far[k] < share * 1.15) and np.any(far[1 - k] > 0.62):
             width, height = sizes[k]
-            raise DataError(
-                f"the {name} corners keep to the first {far[k][0] * width:.0f}x{far[k][1] * height:.0f} px of the "
-                f"{width}x{height} "
-                f"image and the boards look {share:.2f} times as large as in the {other} camera: the {name} "
-                "corners are at about "
-                f"{share:.2f} of the image's resolution; scale them, or give the {name} image size that belongs "
-                "to them."
+            found = finding(
+                "resolution-mismatch",
+                camera=name,
+                other=other,
+                far_x_px=float(far[k][0] * width),
+                far_y_px=float(far[k][1] * height),
+                width_px=width,
+                height_px=height,
+                share=share,
             )
+            raise refusal(found)
 
 
 def _share_focal(
@@ -429,22 +421,24 @@ def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tup
             other_share, other_typical = _quality(other)
             if other_share > 0.7 and other_typical < max(trusted_px, 2.0) and other_typical < (typical + own) / 3:
                 k = int(np.flatnonzero(other.agrees)[0])
-                raise InconsistentViewsError(
-                    f"pairs are off by {'one' if abs(shift) == 1 else abs(shift)}: left view "
-                    f"{detections.names[k]} matches right view "
-                    f"{detections.names[k + shift]} ({int(other.agrees.sum())} of "
-                    f"{int(np.sum(other.symmetry >= 0))} pairs "
-                    "agree when moved so); pair the images again."
+                found = finding(
+                    "pairs-shifted",
+                    shift="one" if abs(shift) == 1 else abs(shift),
+                    left_view=detections.names[k],
+                    right_view=detections.names[k + shift],
+                    n_agreeing=int(other.agrees.sum()),
+                    n_views=int(np.sum(other.symmetry >= 0)),
                 )
+                raise refusal(found)
         if not share >= 0.5 or typical > max(0.02 * diagonal, trusted_px):
-            n_agree = int(consensus.agrees.sum())
-            n_pairs = int(np.sum(consensus.symmetry >= 0))
-            raise InconsistentViewsError(
-                f"left and right contradict each other: no rig explains more than {n_agree} of {n_pairs} pairs within "
-                f"{max(0.02 * diagonal, trusted_px):.0f} px (the best misses by {typical:.0f} px): check that the "
-                "pairs are simultaneous, "
-                "that the rig is rigid, and that both cameras number the same board alike."
+            found = finding(
+                "left-and-right-contradict",
+                n_agreeing=int(consensus.agrees.sum()),
+                n_views=int(np.sum(consensus.symmetry >= 0)),
+                limit_px=max(0.02 * diagonal, trusted_px),
+                miss_px=typical,
             )
+            raise refusal(found)
     return consensus, symmetries
 
 
@@ -457,7 +451,7 @@ def _shifted(poses: BoardPoses, shift: int) -> BoardPoses:
     return replace(moved, is_usable=moved.is_usable & inside)
 
 
-def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], points: ndarray) -> str:
+def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], points: ndarray) -> Finding:
     """Why one view disagrees: corners shifted by a row or column, or another board pose altogether."""
     miss = float(consensus.miss_px[view])
     xy = points[:, :2]
@@ -479,12 +473,9 @@ def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], poin
         stray = [float(np.mean(c.weights[view][np.isfinite(c.homographies.residuals_px[view])] < 0.1)) for c in cameras]
         side = "left" if stray[0] > stray[1] + 0.03 else "right" if stray[1] > stray[0] + 0.03 else "left or right"
         how_many = f"one {name}" if count == 1 else f"two {name}s"
-        return f"the {side} corners are shifted by {how_many} against the other camera; detect this view again"
-    return (
-        f"left and right do not show the same board pose (they miss each other by {miss:.0f} px, other views by "
-        f"{float(np.median(consensus.miss_px[consensus.agrees])):.1f} px): the pair is mismatched or was not "
-        "simultaneous"
-    )
+        return finding("view-shifted", camera=side, shift=how_many)
+    typical_px = float(np.median(consensus.miss_px[consensus.agrees]))
+    return finding("view-mismatched", miss_px=miss, typical_px=typical_px)
 
 
 def _culprit(view: int, symmetry: int, consensus: Consensus, cameras: list[InitialCamera]) -> int:
@@ -499,21 +490,15 @@ def _culprit(view: int, symmetry: int, consensus: Consensus, cameras: list[Initi
     return 0 if score[0] < score[1] else 1
 
 
-def _rig_warnings(consensus: Consensus, cameras: list[InitialCamera], notes: list[str]) -> list[str]:
-    """Sentences about the rig as a whole."""
+def _rig_findings(consensus: Consensus, cameras: list[InitialCamera], notes: list[str]) -> list[Finding]:
+    """What there is to say about the rig as a whole."""
     t = consensus.T_right_left.t
-    warnings = []
+    found = []
     if abs(t[0]) >= abs(t[1]) and t[0] > 0:
-        warnings.append(
-            "left and right look exchanged: the camera called right stands to the left of the other (T.x > 0); "
-            "the calibration holds for the names as given, exchange --left and --right for the usual order."
-        )
-    repaired = [note for note in notes if note]
-    if len(repaired) > _MOST * consensus.agrees.sum() and len(repaired) > 1:
-        warnings.append(
-            f"{len(repaired)} views needed their corner order repaired: one camera numbers the board's corners "
-            "from the other end."
-        )
+        found.append(finding("cameras-exchanged"))
+    n_repaired = sum(bool(note) for note in notes)
+    if n_repaired > _MOST * consensus.agrees.sum() and n_repaired > 1:
+        found.append(finding("corner-orders-repaired", n_views=n_repaired))
     for name, camera in zip(("left", "right"), cameras, strict=True):
-        warnings.extend(f"{name} camera: {note}." for note in camera.notes)
-    return warnings
+        found.extend(finding("start-simplified", camera=name, note=note) for note in camera.notes)
+    return found

@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from binocal.errors import DegenerateGeometryError, TooFewViewsError
+from binocal.errors import TooFewViewsError
+from binocal.findings import finding, refusal
 from binocal.shapes import Float
 
 FOCAL_RANGE = (0.08, 60.0)  # in half diagonals: 170° of a fisheye to a 2° telephoto lens
 MAX_VIEWS = 40  # a start needs no more, evenly chosen; the joint solver sees every view
 _CENTRE_LIMIT = 0.6  # a principal point farther out than 60 % of the half diagonal is a failed estimate, not a lens
-_REMEDY = "tilt the board 20-45 deg about both axes in at least 3 views"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -343,23 +343,15 @@ def _uncertainty(
     return float(np.sqrt(C[0, 0])), np.sqrt(np.diag(free)[2:4])
 
 
-def check_orientations(
-    K: Float[ndarray, "3 3"], columns: ndarray, covariance: ndarray, camera: str, n_distinct: int | None = None
-) -> None:
+def check_orientations(K: Float[ndarray, "3 3"], columns: ndarray, covariance: ndarray, camera: str) -> None:
     """Refuse sets of views from which no pinhole matrix follows: all fronto-parallel, or all parallel to each other.
 
     The decision is statistical: the scatter of the boards' slopes against the covariance that the corners' own
-    residuals give them, so that a weak but honest set passes. ``n_distinct``: number of views left when repeated
-    poses count once.
+    residuals give them, so that a weak but honest set passes.
 
     Raises:
         DegenerateGeometryError: Named set, and what to add.
     """
-    if n_distinct is not None and n_distinct < 2:
-        raise DegenerateGeometryError(
-            f"the {camera} camera sees the board in one and the same pose in all {len(columns)} views: "
-            f"focal length and principal point are undetermined; {_REMEDY}."
-        )
     slopes, C = board_slopes(K, columns, covariance)
     weight = np.linalg.inv(C + 1e-12 * np.eye(2))
     keep = np.ones(len(slopes), dtype=bool)
@@ -380,8 +372,4 @@ def check_orientations(
             if tilt_deg < 5 or centre_weight < 6
             else f"parallel to each other (tilt {tilt_deg:.0f} deg)"
         )
-        raise DegenerateGeometryError(
-            f"all boards seen by the {camera} camera are {which} within the noise (orientations scatter by "
-            f"{spread_deg:.2g} deg): "
-            f"focal length and principal point are undetermined; {_REMEDY}."
-        )
+        raise refusal(finding("boards-parallel", camera=camera, parallel_to=which, spread_deg=spread_deg))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig, camera_model
-from binocal.errors import DegenerateGeometryError
+from binocal.findings import finding, refusal
 from binocal.geometry import SE3, so3
 from binocal.result import Covariance
 from binocal.shapes import Bool, Float
@@ -55,10 +55,7 @@ def shared_covariance(
     if not values[0] > values[-1] / SINGULAR_CONDITION:
         weakest = np.abs(vectors[:, 0])
         names = [shared_names(problem)[i] for i in np.argsort(-weakest)[:3]]
-        raise DegenerateGeometryError(
-            f"the views leave parameters undetermined (mostly {', '.join(names)}); "
-            "add views with the board tilted 20-45 deg about both axes, at different distances."
-        )
+        raise refusal(finding("parameters-undetermined", parameters=", ".join(names)))
     inverse = (vectors / values) @ vectors.T * scale[:, None] * scale * noise_px**2
     if problem.is_stereo and problem.is_rig_free:
         to_additive = np.eye(len(inverse))
@@ -80,7 +77,7 @@ def residual_noise_px(
     n_views = int(np.logical_or.reduce([is_inlier.any(axis=-1) for is_inlier in used]).sum())
     freedom = 2 * n_used - 6 * n_views - problem.n_shared
     if freedom <= 0:
-        raise DegenerateGeometryError("fewer measurements than unknowns; add views or corners.")
+        raise refusal(finding("too-few-measurements"))
     return float(np.sqrt(weighted / freedom))
 
 

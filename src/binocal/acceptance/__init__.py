@@ -1,0 +1,24 @@
+"""Is a solved rig a result, or only a number? Every refusal and every warning of a solved rig, in one table.
+
+None of the checks changes the rig. :data:`RULES` is the table; :func:`judge` applies it.
+"""
+
+from __future__ import annotations
+
+from binocal.acceptance.proof import fits_evenly, is_beyond_doubt
+from binocal.acceptance.rules import OBSERVABILITY, OUTLIERS, RULES, Limit, Rule, findings_of_rules, judge
+from binocal.acceptance.views import contradicting_views, describe_views
+
+__all__ = [
+    "OBSERVABILITY",
+    "OUTLIERS",
+    "RULES",
+    "Limit",
+    "Rule",
+    "contradicting_views",
+    "describe_views",
+    "findings_of_rules",
+    "fits_evenly",
+    "is_beyond_doubt",
+    "judge",
+]

@@ -1,0 +1,305 @@
+"""What binocal has to say about a calibration: findings, each with a stable code, and the one table of all codes.
+
+A finding is what a check found: figures, the sentence that a person reads, and what to do. Its code never changes its meaning, so
+that programs may depend on it; sentences may be reworded. Checks and their thresholds are in :mod:`binocal.acceptance` (a solved
+rig) and :mod:`binocal.initialization.diagnosis` (views that no rig can be solved from).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from binocal.errors import (
+    BinocalError,
+    CalibrationError,
+    DataError,
+    DegenerateGeometryError,
+    InconsistentViewsError,
+    NotConvergedError,
+    TooFewViewsError,
+)
+
+
+class Severity(StrEnum):
+    """How grave a finding is: there is no result; there is one with a weakness; something was repaired or left out."""
+
+    REFUSAL = "refusal"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One finding.
+
+    ``figures`` hold what was found by name, the unit in the name (``sigma_percent``). ``text`` is the whole sentence, ``remedy`` the
+    part of it that says what to do.
+    """
+
+    code: str
+    severity: Severity
+    text: str
+    remedy: str = ""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def finding_document(found: Finding) -> dict[str, Any]:
+    """A finding as plain data, as files and ``--json`` hold it."""
+    return {
+        "code": found.code,
+        "severity": str(found.severity),
+        "text": found.text,
+        "remedy": found.remedy,
+        "figures": dict(found.figures),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class FindingKind:
+    """One row of the table of codes. ``sentence`` takes the figures, and the remedy as ``{remedy}``."""
+
+    code: str
+    severity: Severity
+    title: str
+    sentence: str
+    remedy: str
+    error: type[BinocalError] | None = None
+    """What is raised, of a refusal."""
+
+
+UNCODED = "uncoded"
+"""The code of a sentence read from a file of release 0.1, which had no codes."""
+
+_TILTS = "add views with the board tilted 20-45 deg about both axes, at different distances"
+_TILT_THREE = "tilt the board 20-45 deg about both axes in at least 3 views"
+_SIZE_OF_CORNERS = "give the size of the image in which the corners were found"
+
+_R, _W, _N = Severity.REFUSAL, Severity.WARNING, Severity.NOTE
+
+_KINDS = (
+    # --- a solved rig that is no result
+    FindingKind(
+        "corners-do-not-fit", _R, "Residuals are large against the spacing of the corners",
+        "the corners do not fit the board: residuals of {noise_px:.2f} px where corners are {spacing_px:.1f} px apart; {remedy}.",
+        "check the board's columns, rows and corner order, and that left and right images were taken together",
+        InconsistentViewsError,
+    ),
+    FindingKind(
+        "too-many-outliers", _R, "A large share of the corners contradicts the rest",
+        "{n_outliers} of {n_corners} corners contradict the rest; {remedy}.",
+        "check the corner order, the pairing of left and right, and the camera model",
+        InconsistentViewsError,
+    ),
+    FindingKind(
+        "focal-length-undetermined", _R, "The views do not determine a focal length",
+        "the views do not determine the {camera} focal length (standard deviation {sigma_percent:.1f} %): "
+        "the board's directions differ by only {spread_deg:.1f} deg; {remedy}.",
+        _TILTS, DegenerateGeometryError,
+    ),
+    FindingKind(
+        "principal-point-impossible", _R, "A principal point lies where no lens has it",
+        "the {camera} principal point ({x_px:.0f}, {y_px:.0f}) comes out far from the middle of the {width_px}x{height_px} image, "
+        "which no lens does: the boards say too little about the camera, or the images are cropped; {remedy}.",
+        f"move the board over the whole image and {_TILTS}", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "rotation-undetermined", _R, "The views do not determine the rotation between the cameras",
+        "the views do not determine the rotation between the cameras (standard deviation {sigma_deg:.1f} deg); {remedy}.",
+        f"move the board over the whole of both images and {_TILTS}", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "translation-undetermined", _R, "The views do not determine the translation between the cameras",
+        "the views do not determine the translation between the cameras (standard deviation {sigma_percent:.0f} % of the "
+        "baseline); {remedy}.",
+        _TILTS, DegenerateGeometryError,
+    ),
+    FindingKind(
+        "not-converged", _R, "The joint solve did not reach a minimum",
+        "the joint solve did not reach a minimum in {n_iterations} iterations; the views may leave parameters undetermined: "
+        "{remedy}.",
+        _TILTS, NotConvergedError,
+    ),
+    FindingKind(
+        "parameters-undetermined", _R, "Some parameters cannot be separated from others",
+        "the views leave parameters undetermined (mostly {parameters}); {remedy}.",
+        _TILTS, DegenerateGeometryError,
+    ),
+    FindingKind(
+        "too-few-measurements", _R, "Fewer measurements than unknowns",
+        "fewer measurements than unknowns; {remedy}.",
+        "add views or corners", DegenerateGeometryError,
+    ),
+    # --- views that no rig can be solved from
+    FindingKind(
+        "too-few-views", _R, "Too few usable views",
+        "{n_found} usable view{plural}, {n_needed} needed; {remedy}.",
+        "add views with the board tilted 20-45 deg in different directions", CalibrationError,
+    ),
+    FindingKind(
+        "corners-outside-image", _R, "Corners that fit their board lie outside the image",
+        "{camera} view {view}, corner {corner} at ({x_px:.1f}, {y_px:.1f}) px lies outside the {width_px}x{height_px} image "
+        "({n_corners} such corners in {n_views} views); {remedy}.",
+        _SIZE_OF_CORNERS, DataError,
+    ),
+    FindingKind(
+        "columns-and-rows-exchanged", _R, "The corners fit the board only column by column",
+        "columns and rows are exchanged in the {camera} corners ({n_fitting} of {n_views} views fit the board only when read "
+        "column by column): {remedy}.",
+        "exchange the board's columns and rows, or give the corners row by row", InconsistentViewsError,
+    ),
+    FindingKind(
+        "corners-off-grid", _R, "The corners are no image of the board in most views",
+        "the {camera} corners do not lie on the board's grid in {n_off} of {n_views} views (first: {view}): the board's columns, "
+        "rows or corner order are wrong; {remedy}.",
+        "give the board as it is printed", InconsistentViewsError,
+    ),
+    FindingKind(
+        "too-few-poses", _R, "The board stands in the same few poses in all views",
+        "the {camera} camera sees the board in only {n_poses} different pose{plural} in {n_views} views: focal length and "
+        "principal point are undetermined; {remedy}.",
+        _TILT_THREE, DegenerateGeometryError,
+    ),
+    FindingKind(
+        "boards-parallel", _R, "All boards are parallel",
+        "all boards seen by the {camera} camera are {parallel_to} within the noise (orientations scatter by {spread_deg:.2g} deg): "
+        "focal length and principal point are undetermined; {remedy}.",
+        _TILT_THREE, DegenerateGeometryError,
+    ),
+    FindingKind(
+        "tilts-too-small", _R, "The boards' tilts leave a focal length open",
+        "the {camera} camera's focal length is known to ± {sigma_percent:.0f} % only: the boards are tilted too little or all "
+        "alike; {remedy}.",
+        _TILT_THREE, DegenerateGeometryError,
+    ),
+    FindingKind(
+        "image-size-wrong", _R, "The stated image size is far too large",
+        "the {camera} corners fill only the first {far_x_px:.0f}x{far_y_px:.0f} px of a {width_px}x{height_px} image, and the "
+        "principal point ({x_px:.0f}, {y_px:.0f}) is far from its middle: the image size looks wrong, about "
+        "{implied_width_px:.0f}x{implied_height_px:.0f} would fit; {remedy}.",
+        _SIZE_OF_CORNERS, DataError,
+    ),
+    FindingKind(
+        "resolution-mismatch", _R, "One camera's corners are at a fraction of its image's resolution",
+        "the {camera} corners keep to the first {far_x_px:.0f}x{far_y_px:.0f} px of the {width_px}x{height_px} image and the boards "
+        "look {share:.2f} times as large as in the {other} camera: the {camera} corners are at about {share:.2f} of the image's "
+        "resolution; {remedy}.",
+        "scale them, or give the {camera} image size that belongs to them", DataError,
+    ),
+    FindingKind(
+        "pairs-shifted", _R, "Left and right sequences are off by some images",
+        "pairs are off by {shift}: left view {left_view} matches right view {right_view} ({n_agreeing} of {n_views} pairs agree when "
+        "moved so); {remedy}.",
+        "pair the images again", InconsistentViewsError,
+    ),
+    FindingKind(
+        "left-and-right-contradict", _R, "No rig explains the pairs",
+        "left and right contradict each other: no rig explains more than {n_agreeing} of {n_views} pairs within {limit_px:.0f} px "
+        "(the best misses by {miss_px:.0f} px): {remedy}.",
+        "check that the pairs are simultaneous, that the rig is rigid, and that both cameras number the same board alike",
+        InconsistentViewsError,
+    ),
+    # --- a result with a weakness
+    FindingKind(
+        "focal-length-uncertain", _W, "A focal length is poorly known",
+        "the {camera} focal length is known only to {sigma_percent:.1f} % (one standard deviation); {remedy}.", _TILTS,
+    ),
+    FindingKind(
+        "image-size-doubtful", _W, "Both principal points lie short of the middle",
+        "both principal points lie short of the middle of the {width_px:.0f}x{height_px:.0f} images and no corner lies beyond: "
+        "{remedy}.",
+        "check the image size, about {implied_width_px:.0f}x{implied_height_px:.0f} would fit",
+    ),
+    FindingKind(
+        "image-size-suspect", _W, "One principal point lies far off the middle, and no corner beyond",
+        "the {camera} principal point ({x_px:.0f}, {y_px:.0f}) is far from the middle of the {width_px}x{height_px} image and the "
+        "corners end at ({far_x_px:.0f}, {far_y_px:.0f}): {remedy}.",
+        "check the image size; about {implied_width_px:.0f}x{implied_height_px:.0f} would fit",
+    ),
+    FindingKind(
+        "cameras-exchanged", _W, "The camera called right stands to the left",
+        "left and right look exchanged: the camera called right stands to the left of the other (T.x > 0); {remedy}.",
+        "the calibration holds for the names as given, exchange --left and --right for the usual order",
+    ),
+    FindingKind(
+        "corner-orders-repaired", _W, "Most views had their corner order repaired",
+        "{n_views} views needed their corner order repaired: one camera numbers the board's corners from the other end.", "",
+    ),
+    FindingKind(
+        "start-simplified", _W, "The closed-form start had to do with fewer parameters",
+        "{camera} camera: {note}.", "",
+    ),
+    FindingKind(
+        "corners-without-weight", _W, "More corners than usual were given no weight",
+        "{n_outliers} of {n_corners} corners ({share_percent:.1f} %) do not fit and were given no weight; the worst is "
+        "{camera} corner {corner} of view {view}, {distance_px:.1f} px off.", "",
+    ),
+    FindingKind(
+        "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",
+        "camera model: {reason}.", "",
+    ),
+    # --- views
+    FindingKind("view-without-corners", _N, "A view without corners", "no corners in either camera", ""),
+    FindingKind(
+        "view-off-grid", _N, "A view whose corners are no image of the board",
+        "the {camera} corners do not lie on the board's grid (order or detection is wrong); {remedy}", "detect them again",
+    ),
+    FindingKind(
+        "view-at-one-point", _N, "A view whose corners coincide",
+        "the {camera} corners all lie at one point ({x_px:.0f}, {y_px:.0f}); {remedy}", "mark corners that were not found as NaN",
+    ),
+    FindingKind(
+        "view-on-a-line", _N, "A view whose corners lie on one line",
+        "the {camera} corners lie on one line and determine no pose; {remedy}", "show more of the board, less edge-on",
+    ),
+    FindingKind(
+        "view-shifted", _N, "A view numbered off by a row or column",
+        "the {camera} corners are shifted by {shift} against the other camera; {remedy}", "detect this view again",
+    ),
+    FindingKind(
+        "view-mismatched", _N, "A pair that does not show one board pose",
+        "left and right do not show the same board pose (they miss each other by {miss_px:.0f} px, other views by "
+        "{typical_px:.1f} px): the pair is mismatched or was not simultaneous", "",
+    ),
+    FindingKind(
+        "view-contradicts", _N, "A view most of whose corners contradict the others",
+        "{n_unused} of {n_seen} {camera} corners contradict the other views (typically {typical_px:.1f} px off); {remedy}",
+        "check the corner order and that both images were taken together",
+    ),
+    FindingKind(
+        "view-reordered", _N, "A view whose corner order was repaired",
+        "the {camera} corner order was {symmetry} against the other camera; repaired", "",
+    ),
+)  # fmt: skip
+
+KINDS: dict[str, FindingKind] = {kind.code: kind for kind in _KINDS}
+"""Every code, in the order of the documentation."""
+
+
+def finding(code: str, *, remedy: str | None = None, **figures: Any) -> Finding:
+    """The finding of that code with these figures; ``remedy`` in place of the table's where this case knows a better one."""
+    kind = KINDS[code]
+    what = (kind.remedy if remedy is None else remedy).format(**figures)
+    return Finding(code, kind.severity, kind.sentence.format(**figures, remedy=what), what, figures)
+
+
+def refusal(found: Finding, rejected: Mapping[str, str] | None = None) -> BinocalError:
+    """The exception of a refusal; ``rejected`` maps views to what each of them shows."""
+    kind = KINDS[found.code].error
+    assert kind is not None, f"{found.code} is no refusal"
+    error = kind(found.text, dict(rejected or {})) if issubclass(kind, CalibrationError) else kind(found.text)
+    error.findings = (found,)
+    return error
+
+
+def findings_of(error: BaseException) -> tuple[Finding, ...]:
+    """What an exception was raised for; empty where it is not about a calibration."""
+    if isinstance(error, TooFewViewsError):
+        plural = "" if error.found == 1 else "s"
+        return (finding("too-few-views", n_found=error.found, plural=plural, n_needed=error.needed),)
+    return error.findings if isinstance(error, BinocalError) else ()
