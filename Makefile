@@ -32,6 +32,7 @@ lint: $(VENV)/.stamp
 
 docs: $(VENV)/.stamp
 	$(BIN)/python docs/make_cli_reference.py
+	$(BIN)/python docs/make_findings.py
 	$(BIN)/python docs/make_figure.py
 	$(BIN)/python docs/make_chessboard_figures.py
 

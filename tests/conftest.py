@@ -19,6 +19,11 @@ CHECKED = [
     "metrics",
     "initialization",
     "rectification",
+    "acceptance",
+    "findings",
+    "result",
+    "evidence",
+    "values",
 ]
 jaxtyping.install_import_hook([f"binocal.{name}" for name in CHECKED], "shape_checks.checked")
 

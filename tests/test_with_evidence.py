@@ -87,7 +87,7 @@ def test_every_later_step_runs_without_images(tmp_path):
         (lambda d: replace(d, right_px=d.right_px + 0.01), "from its prediction"),
         (lambda d: d.reorder("left", {3: np.arange(88)[::-1]}), "left view 3 is"),
         (lambda d: drop_view(d, 6, side="left"), "view 6 has 88 corners instead of 176"),
-        (lambda d: d.select([1, 0, 3, 2, 4, 5, 6, 7, 8, 9]), None),
+        (lambda d: d.select(np.array([1, 0, 3, 2, 4, 5, 6, 7, 8, 9])), None),
     ],
 )
 def test_other_corners_are_refused(tmp_path, change, expected):

@@ -175,6 +175,7 @@ def test_nan_corners_are_corners_not_seen(clean):
         Detections.from_arrays(detections.object_points_m, left, detections.right_px, (1280, 960))
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_twenty_left_against_nineteen_right(clean):
     detections, _, _ = clean
     with pytest.raises(DataError, match="20 left views against 19 right views"):

@@ -113,6 +113,7 @@ def rewritten(path, change):
         (lambda a, h: a.update(right_covariance_px2=-np.ones((3, 88, 2, 2))), "not a covariance"),
     ],
 )
+@pytest.mark.usefixtures("unchecked_types")
 def test_what_is_wrong_is_named_with_its_place(tmp_path, change, expected):
     path = tmp_path / "corners.npz"
     write_detections(path, make())

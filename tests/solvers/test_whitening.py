@@ -65,6 +65,7 @@ def test_a_misfit_is_found_from_the_residuals(misfit_px):
     assert estimate_misfit_px(detections, tuple(r2)) == pytest.approx(misfit_px, rel=0.05, abs=0.015)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_what_is_no_covariance_is_refused():
     good = covariances(np.random.default_rng(1), 3, 30)
     bad = good.copy()
@@ -78,7 +79,7 @@ def test_what_is_no_covariance_is_refused():
 def test_views_are_selected_and_reordered_with_their_covariances():
     good = covariances(np.random.default_rng(1), 3, 30)
     detections = detections_with(good, None)
-    assert np.array_equal(detections.select([2, 1]).left_covariance_px2, good[[2, 1]])
+    assert np.array_equal(detections.select(np.array([2, 1])).left_covariance_px2, good[[2, 1]])
     turned = detections.reorder("left", {1: np.arange(30)[::-1]})
     assert np.array_equal(turned.left_covariance_px2[1], good[1, ::-1])
     assert np.array_equal(turned.left_px[1], detections.left_px[1, ::-1], equal_nan=True)

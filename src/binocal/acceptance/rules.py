@@ -60,7 +60,7 @@ FOCAL_SHARE = Limit(
     "fronto-parallel sets leave 0.07-0.6 at 0.1-0.5 px, three good views 0.001-0.004",
 )  # fmt: skip
 PARALLEL_SPREAD_DEG = Limit(
-    "RMS angle between the board's directions", 2.0, "deg", "below it views count as parallel, unless the focal lengths are known in spite"
+    "RMS angle between the board's directions", 2.0, "deg", "below it views count as parallel, unless the focal lengths are known all the same"
 )  # fmt: skip
 PARALLEL_FOCAL_SHARE = Limit(
     "standard deviation of a focal length over it, of parallel views", 0.002, "", "parallel views at very low noise look certain"

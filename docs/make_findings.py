@@ -1,0 +1,215 @@
+"""Writes docs/findings/: a page for every code of a finding, and the index. Run by ``make docs``; a test holds them in step."""
+
+from __future__ import annotations
+
+import string
+import textwrap
+from pathlib import Path
+
+from binocal.acceptance import RULES
+from binocal.findings import KINDS, FindingKind, Severity
+
+FOLDER = Path(__file__).with_name("findings")
+METHOD = Path(__file__).with_name("method.md")
+BEGIN, END = "<!-- rules: written by make_findings.py -->", "<!-- end of rules -->"
+WIDTH = 100
+
+HEADINGS = {
+    Severity.REFUSAL: "Refusals: there is no result",
+    Severity.WARNING: "Warnings: there is a result with a weakness",
+    Severity.NOTE: "Notes on views: left out or repaired",
+}
+
+EXPLANATIONS = {
+    "corners-do-not-fit": """
+        The solve ended, but its residuals are a noticeable part of the distance between neighbouring corners. No detector is
+        that bad: the corners belong to another board, are numbered in another order in many views, or left and right images
+        were taken at different moments.""",
+    "too-many-outliers": """
+        The robust loss lets go of corners that contradict the rest. When it had to let go of a third of them, what is left may
+        be any of several explanations, and which one it is was decided by chance.""",
+    "focal-length-undetermined": """
+        A board parallel to the image plane looks the same from twice the distance at twice the focal length. Only tilted
+        boards tell the two apart, and different tilts tell more. The refusal comes at 5 %, where distances measured by the
+        rig would be wrong by as much; parallel views are refused earlier, since their small standard deviation rests on the
+        lens model alone.""",
+    "principal-point-impossible": """
+        The principal point is where the optical axis meets the image; lenses are mounted within a few percent of the middle.
+        A solve that puts it far away, and is sure of it, has explained something else by it: boards that stayed in one part
+        of the image, or images that were cropped after they were taken. Crop-free images or more varied views help.""",
+    "rotation-undetermined": """
+        The rotation between the cameras is known worse than one degree: rows of a rectified pair would not match. Usually the
+        board was small in both images, or stayed in one place.""",
+    "translation-undetermined": """
+        The translation between the cameras is known worse than a fifth of the baseline, so depths would be wrong by as much.
+        Usually the board stood in nearly the same pose in all views.""",
+    "not-converged": """
+        The solver stopped at its limit of iterations. Either some parameters are so weakly determined that the cost hardly
+        changes along them, or the start was wrong; in both cases the numbers where it stopped mean nothing.""",
+    "parameters-undetermined": """
+        The normal equations are singular: some combination of parameters changes nothing that the corners show. The sentence
+        names the parameters that take the largest part in it.""",
+    "too-few-measurements": """
+        There are fewer corner coordinates than unknowns: six for each view's board pose, and the cameras' own.""",
+    "too-few-views": """
+        Two views determine four intrinsics and leave nothing to check them with. The list of views that came with the message
+        says why each of the others was left out.""",
+    "corners-outside-image": """
+        Corners that fit the board well lie beyond the image's edge. The stated image size is not that of the images in which
+        the corners were found; often width and height are exchanged.""",
+    "columns-and-rows-exchanged": """
+        Read column by column the corners fit the board, row by row they do not. The board was described with its columns and
+        rows exchanged, or another detector numbers corners column by column.""",
+    "corners-off-grid": """
+        In most views no homography maps the board's points onto the corners. The numbers of columns or rows are wrong (inner
+        corners are counted for chessboards, squares for ChArUco boards), or the order of the corners is another one.""",
+    "too-few-poses": """
+        Repeated poses count once: a tripod and ten images of a board that nobody moved are one view.""",
+    "boards-parallel": """
+        All boards have the same direction, as far as the noise of the corners tells. Moving the board without tilting it
+        says nothing about the focal length.""",
+    "tilts-too-small": """
+        The closed form, before any solve, knows the focal length to worse than half of itself. A start like that may end
+        anywhere.""",
+    "image-size-wrong": """
+        All corners lie in the first part of the image, and the principal point is the middle of that part, not of the image:
+        the corners were found in smaller images than the size that was stated.""",
+    "resolution-mismatch": """
+        Boards look smaller in one camera by the same factor by which its corners keep to the first part of the image: the
+        corners were found in images of half (or another share of) the resolution.""",
+    "pairs-shifted": """
+        When the right sequence is moved by one or a few images against the left one, the pairs agree. An image is missing at
+        the beginning of one sequence, or two recordings were started apart.""",
+    "left-and-right-contradict": """
+        Each camera alone makes sense, but no single rotation and translation between them explains more than a few pairs. The
+        images were not taken at the same moment while something moved, the cameras moved against each other, or the two
+        cameras number the board's corners differently.""",
+    "focal-length-uncertain": """
+        The focal length is known worse than one percent, and distances with it. The rig is usable where that is enough.""",
+    "image-size-doubtful": """
+        Lens mounts scatter both ways. Two principal points that lie short of the middle by the same share, with no corner
+        beyond the size that would put them into the middle, mean that the stated size is too large.""",
+    "image-size-suspect": """
+        As for both cameras, with one of them: its principal point lies far from the middle, and its corners end where an
+        image of a smaller size would.""",
+    "cameras-exchanged": """
+        The translation says that the camera called right stands to the left. Nothing is wrong with the numbers; most stereo
+        software expects the other order.""",
+    "corner-orders-repaired": """
+        A chessboard with an even and an odd number of squares has no upside-down, others have. The two cameras numbered the
+        corners from different ends in most views; they were put into one order.""",
+    "start-simplified": """
+        The views could not carry all parameters of the closed form; the joint solve started from fewer. It finds the others
+        by itself; look at their standard deviations.""",
+    "corners-without-weight": """
+        A few wild corners per thousand are usual. More come from reflections, a covered board, motion blur, or a lens model
+        that does not follow the lens into the corners of the image.""",
+    "model-choice-weak": """
+        Camera models are compared by their error on views that were held out. With fewer than six views nothing can be held
+        out, and the Bayesian information criterion decides.""",
+    "view-without-corners": "Neither camera saw the board in this view.",
+    "view-off-grid": """
+        The corners of this view are no perspective image of the board: a wrong detection, or an order of its own.""",
+    "view-at-one-point": """
+        Some programs write (0, 0) for corners that were not found. Corners that were not seen are NaN.""",
+    "view-on-a-line": "A single row of corners determines no pose of the board.",
+    "view-shifted": """
+        The corners of one camera are numbered one or two rows or columns off, as happens when a detector takes the board's
+        rim for a row.""",
+    "view-mismatched": """
+        The rig that the other pairs agree on does not explain this one: the images do not belong together, or the board or
+        the rig moved between them.""",
+    "view-contradicts": """
+        Most corners of one camera were given no weight by the joint solve. The view was left out and the others solved anew.""",
+    "view-reordered": """
+        The corner order of one camera was a symmetry of the board against the other camera's. It was put right; corner
+        numbers in the result are those of the repaired order.""",
+}
+
+
+def sentence_with_places(kind: FindingKind) -> str:
+    """The sentence with the figures' names in angle brackets and the remedy written out."""
+    parts = []
+    for text, name, _, _ in string.Formatter().parse(kind.sentence):
+        parts.append(text)
+        if name == "remedy":
+            parts.append(kind.remedy.replace("{", "⟨").replace("}", "⟩").replace(":.0f", ""))
+        elif name:
+            parts.append(f"⟨{name}⟩")
+    return "".join(parts)
+
+
+def paragraph(text: str, prefix: str = "") -> str:
+    """The text in lines of one width."""
+    options = {"break_long_words": False, "break_on_hyphens": False}
+    return textwrap.fill(" ".join(text.split()), WIDTH, initial_indent=prefix, subsequent_indent=prefix, **options)
+
+
+def page(kind: FindingKind) -> str:
+    """The page of one code."""
+    lines = [f"# {kind.title}", "", f"`{kind.code}`, {kind.severity}.", "", paragraph(EXPLANATIONS[kind.code]), ""]
+    lines += ["The sentence, with the names of its figures:", "", paragraph(sentence_with_places(kind), "> "), ""]
+    limits = [limit for rule in RULES if rule.code == kind.code for limit in rule.limits]
+    if limits:
+        lines += ["| compared | limit | why there |", "|---|---|---|"]
+        lines += [
+            f"| {limit.what} | {limit.value:g} {limit.unit} | {limit.reason} |".replace("  |", " |") for limit in limits
+        ]
+        lines += [""]
+    if kind.error is not None:
+        lines += [
+            f"Raised as `binocal.{kind.error.__name__}`; the command line ends with exit code {exit_code(kind)}.",
+            "",
+        ]
+    lines += ["[All findings](index.md)"]
+    return "\n".join(lines) + "\n"
+
+
+def exit_code(kind: FindingKind) -> int:
+    """What the command line ends with."""
+    return 1 if kind.error is not None and kind.error.__name__ == "NotConvergedError" else 3
+
+
+def index() -> str:
+    """The index of all codes."""
+    intro = """
+        What binocal has to say about a calibration has a code that never changes its meaning. In Python it is
+        `calibration.findings`, or `error.findings` of an exception; in `rig.json` and with `--json` it is the list `findings`,
+        each with `code`, `severity`, `figures`, `text` and `remedy`. Sentences may be reworded; programs depend on codes."""
+    lines = ["# Findings", "", paragraph(intro), ""]
+    for severity, heading in HEADINGS.items():
+        lines += [f"## {heading}", "", "| code | meaning |", "|---|---|"]
+        lines += [f"| [`{k.code}`]({k.code}.md) | {k.title} |" for k in KINDS.values() if k.severity is severity]
+        lines += [""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def rules_table() -> str:
+    """The limits of every rule, for docs/method.md."""
+    lines = ["| finding | compared | limit | why there |", "|---|---|---|---|"]
+    for rule in RULES:
+        for limit in rule.limits:
+            value = f"{limit.value:g} {limit.unit}".strip()
+            lines.append(f"| [{rule.code}](findings/{rule.code}.md) | {limit.what} | {value} | {limit.reason} |")
+    return "\n".join(lines) + "\n"
+
+
+def with_rules_table(text: str) -> str:
+    """The text of docs/method.md with the table between its marks renewed."""
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n\n{rules_table()}\n{END}{after}"
+
+
+def pages() -> dict[str, str]:
+    """Every file of the folder and its text."""
+    return {"index.md": index()} | {f"{kind.code}.md": page(kind) for kind in KINDS.values()}
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    for old in FOLDER.glob("*.md"):
+        old.unlink()
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
+    METHOD.write_text(with_rules_table(METHOD.read_text(encoding="utf-8")), encoding="utf-8")
