@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PYTHONS := python3 python3.14 python3.13 python3.12 python3.11 python
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: demo test fast lint coverage docs
+.PHONY: demo test fast lint coverage sanitize docs
 
 demo: $(VENV)/.core
 	@$(BIN)/binocal demo --output binocal-demo --force
@@ -29,6 +29,20 @@ lint: $(VENV)/.stamp
 	$(BIN)/ruff check src tests docs examples
 	$(BIN)/ruff format --check src tests docs examples
 	$(BIN)/lint-imports
+
+# The kernel's tests and a fuzzer of its functions, under AddressSanitizer and UndefinedBehaviorSanitizer (GCC or Clang on Linux).
+SANITIZED := build/sanitize
+sanitize: $(VENV)/.stamp
+	$(PIP_INSTALL) nanobind cmake ninja
+	rm -rf $(SANITIZED)/src && mkdir -p $(SANITIZED)/src && cp -r src/binocal $(SANITIZED)/src/ && rm -f $(SANITIZED)/src/binocal/kernels/_kernel*
+	$(BIN)/cmake -S . -B $(SANITIZED)/cmake -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python \
+	  -DBINOCAL_SANITIZE=ON -DBINOCAL_OUTPUT=$(CURDIR)/$(SANITIZED)/src/binocal/kernels >/dev/null
+	$(BIN)/cmake --build $(SANITIZED)/cmake
+	for tests in tests/kernels tests/kernels/fuzz.py; do \
+	  LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so)" UBSAN_OPTIONS=print_stacktrace=1 \
+	  ASAN_OPTIONS=detect_leaks=0:allocator_may_return_null=1 BINOCAL_FUZZ_ROUNDS=2000 PYTHONPATH=$(SANITIZED)/src \
+	  $(BIN)/python -m pytest -q -p no:cacheprovider $$tests || exit 1; \
+	done
 
 docs: $(VENV)/.stamp
 	$(BIN)/python docs/make_cli_reference.py

@@ -121,3 +121,37 @@ def test_peaks_are_the_plain_statement(reach, margin, least, most):
     expected = plain.find_peaks(response.astype(float), reach, margin, least, most)
     assert len(peaks) == len(expected) and (len(peaks) > 0) == (least < 1e6)
     assert np.allclose(peaks, expected, atol=1e-5)
+
+
+def test_points_that_are_no_numbers_have_no_links():
+    # the search for nearest points once sorted by them, which ended in a crash
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 100, (300, 2))
+    lost = rng.random(300) < 0.3
+    points[lost, rng.integers(0, 2, lost.sum())] = rng.choice([np.nan, np.inf, -np.inf], lost.sum())
+    smooth = rng.integers(0, 255, (100, 100), dtype=np.uint8)
+    rays, contrast = rng.uniform(0, 3, (300, 4)), np.full(300, 50.0)
+    neighbour, _ = images.link_corners(smooth, points, rays, contrast, 3.2)
+    assert (neighbour[lost] == -1).all() and not np.isin(neighbour, np.flatnonzero(lost)).any()
+    found, _ = images.link_corners(smooth, points[~lost], rays[~lost], contrast[~lost], 3.2)
+    place = np.append(np.flatnonzero(~lost), -1)
+    assert np.array_equal(neighbour[~lost], place[found]) and (found >= 0).any()
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (5, 0)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_an_empty_image_is_refused(shape, dtype):
+    image, points, n4 = np.zeros(shape, dtype), np.ones((3, 2)), np.zeros((3, 4))
+    with pytest.raises(ValueError, match="one pixel at least"):
+        images.sample(image, points)
+    with pytest.raises(ValueError, match="one pixel at least"):
+        images.read_rings(image, points, 3.0, 1.0, 0.5)
+    with pytest.raises(ValueError, match="one pixel at least"):
+        images.follow_edges(image, points, points, np.ones(3), np.ones(3))
+    with pytest.raises(ValueError, match="one pixel at least"):
+        images.link_corners(image, points, n4, np.ones(3), 0.3)
+
+
+def test_a_negative_reach_is_refused():
+    with pytest.raises(ValueError, match="reach must be 0 or more"):
+        images.localize_saddles(np.zeros((9, 9), np.uint8), np.ones((1, 2)), np.ones((5, 1)), -1)

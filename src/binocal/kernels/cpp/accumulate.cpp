@@ -474,10 +474,6 @@ Kernel kernel_of(const std::string& name) {
     throw std::invalid_argument("no robust kernel " + name);
 }
 
-void require(bool holds, const char* what) {
-    if (!holds) throw std::invalid_argument(what);
-}
-
 // Shapes: parameters (rigs, p), R (views, 3, 3), t (views, 3), points (3, n), pixels (views, 2, n), is_seen (views, n),
 // whitening (views, 3, n) or nothing, where views counts those of all rigs.
 Task make_task(const Copies& model, const Doubles& parameters, const Doubles& R, const Doubles& t, const Doubles& points,

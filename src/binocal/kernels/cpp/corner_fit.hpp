@@ -10,6 +10,8 @@
 // position nothing. Pixel integration adds 1/12 px^2 to the blurs' squares, which the fit absorbs.
 #pragma once
 
+#include "cpu.hpp"
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -133,13 +135,6 @@ void gather(const Pixel* image, std::ptrdiff_t width, double x, double y, double
     }
     patch.n_vectors = n / kLanes;
 }
-
-#if defined(BINOCAL_AVX2)
-inline bool has_avx2() {
-    static const bool has = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-    return has;
-}
-#endif
 
 namespace portable {
 #include "corner_fit_loops.hpp"

@@ -1,6 +1,8 @@
 // Gram matrices of long columns, and the compiler's words for inlining, vectorising and several copies.
 #pragma once
 
+#include "cpu.hpp"
+
 #include <cstddef>
 #include <cstring>
 
@@ -18,28 +20,14 @@
 #endif
 // One build serves every x86-64 machine: hot functions are compiled three times, and the widest copy that the processor
 // runs is called (see BINOCAL_DISPATCH). Elsewhere the compiler's baseline (NEON on Arm) is all there is.
-#if defined(__GNUC__) && defined(__x86_64__)
-#define BINOCAL_X86 1
+#if BINOCAL_X86
 #define BINOCAL_V3 __attribute__((target("arch=x86-64-v3")))
 #define BINOCAL_V4 __attribute__((target("arch=x86-64-v4")))
-#else
-#define BINOCAL_X86 0
 #endif
 
 namespace binocal {
 
 constexpr int kRun = 8;  // the longest vector, in doubles: columns are padded to whole ones
-
-#if BINOCAL_X86
-inline bool has_avx512() {
-    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd") &&
-           __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
-}
-inline bool has_avx2() {
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
-           __builtin_cpu_supports("bmi2");
-}
-#endif
 
 // Defines void name(const Task&, first, last), which calls the widest copy of body<lanes>(task, first, last).
 #if BINOCAL_X86

@@ -161,10 +161,6 @@ struct Entry {
 constexpr Entry kModels[] = {{"brown4", 9, move_brown4}, {"brown5", 10, move_brown5}, {"brown8", 13, move_brown8},
                              {"fisheye4", 9, move_fisheye4}};
 
-void require(bool holds, const char* what) {
-    if (!holds) throw std::invalid_argument(what);
-}
-
 void pixels_behind(const std::string& name, const Doubles& parameters, const Doubles& parameter_step, const Doubles& R,
                    const Doubles& t, const Doubles& view_step, const Doubles& R_rig, const Doubles& t_rig,
                    const Doubles& rig_step, const Doubles& bend, const Doubles& points, const Doubles& pixels,

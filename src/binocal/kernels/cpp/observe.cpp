@@ -40,9 +40,6 @@ void observe(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, 
              const Doubles& views, const Doubles& predicted, const Doubles& gradient, const Doubles& pivot,
              const Doubles& t_rig, const Doubles& t, const Doubles& scale_px, const Doubles& gain, const Flags& is_kept,
              const Doubles& previous_mad, const Doubles& previous_predicted, const Doubles& previous_shared, DoublesOut out) {
-    auto require = [](bool holds, const char* what) {
-        if (!holds) throw std::invalid_argument(what);
-    };
     require(r2.size() == 2 && is_seen.size() == 2, "two cameras");
     require(r2[0].ndim() == 3, "squared lengths must be (rigs, views, n)");
     const std::size_t rigs = r2[0].shape(0), n_views = r2[0].shape(1), n = r2[0].shape(2), m = n_views * n;

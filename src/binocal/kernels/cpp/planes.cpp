@@ -107,9 +107,6 @@ BINOCAL_DISPATCH(fits_of_views, Planes, (fit_views<lanes>(task, first, last)))
 void fit_planes(const Doubles& xy, const Doubles& u, const Doubles& v, const Doubles& w, int n_passes, DoublesOut rows,
                 DoublesOut S_inverse, DoublesOut P, DoublesOut D_inverse, DoublesOut du, DoublesOut dv,
                 std::size_t n_threads) {
-    auto require = [](bool holds, const char* what) {
-        if (!holds) throw std::invalid_argument(what);
-    };
     require(xy.ndim() == 2 && xy.shape(0) == 2 && xy.shape(1) > 0, "plane points must be (2, n)");
     const std::size_t n = xy.shape(1), views = u.size() / n;
     require(u.size() == views * n && v.size() == views * n && w.size() == views * n, "u, v and w must be (views, n)");

@@ -8,10 +8,6 @@
 namespace binocal {
 namespace {
 
-void require(bool holds, const char* what) {
-    if (!holds) throw std::invalid_argument(what);
-}
-
 void multiply(const double* A, const double* B, double* out) {
     for (int i = 0; i < 3; ++i) {
         for (int k = 0; k < 3; ++k) out[3 * i + k] = A[3 * i] * B[k] + A[3 * i + 1] * B[3 + k] + A[3 * i + 2] * B[6 + k];

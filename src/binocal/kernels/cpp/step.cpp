@@ -296,9 +296,6 @@ BINOCAL_DISPATCH(steps_of_rigs, Problem, (run_rigs<lanes>(task, first, last)))
 void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doubles& t, bool is_rig_free, const Doubles& prior_weight, const Doubles& prior_gradient,
                  const Doubles& growth, const Doubles& pose_growth, const Doubles& stretch, const Doubles& shift, DoublesOut shared, DoublesOut views, DoublesOut predicted, DoublesOut reduced,
                  DoublesOut gradient, DoublesOut pivot, std::size_t n_threads) {
-    auto require = [](bool holds, const char* what) {
-        if (!holds) throw std::invalid_argument(what);
-    };
     require(!grams.empty() && grams.size() <= 2, "one or two cameras");
     Problem problem{};
     const bool is_stereo = grams.size() == 2;

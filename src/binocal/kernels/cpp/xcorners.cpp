@@ -1,5 +1,5 @@
 // X-corners and their lattices: bilinear reading, rings, saddles, links along edges and connected grids. What each decides
-// and why stands in binocal/detection/xcorners.py and lattice.py; here are only the loops.
+// and why stands in binocal/detection/finding; here are only the loops.
 #include "kernel.hpp"
 
 #include <algorithm>
@@ -22,10 +22,6 @@ using FlagsOut = nb::ndarray<bool, nb::device::cpu, nb::c_contig>;
 using IndicesIn = nb::ndarray<const std::int64_t, nb::device::cpu, nb::c_contig>;
 using IndicesOut = nb::ndarray<std::int64_t, nb::device::cpu, nb::c_contig>;
 
-void require(bool holds) {
-    if (!holds) throw nb::value_error("the arrays' lengths do not match");
-}
-
 // Bilinear values; the border's value beyond the border, 0 where a coordinate is no number.
 template <typename Pixel>
 struct Sampler {
@@ -33,7 +29,9 @@ struct Sampler {
     std::ptrdiff_t height, width;
 
     explicit Sampler(const Plane<Pixel>& plane)
-        : image(plane.data()), height(static_cast<std::ptrdiff_t>(plane.shape(0))), width(static_cast<std::ptrdiff_t>(plane.shape(1))) {}
+        : image(plane.data()), height(static_cast<std::ptrdiff_t>(plane.shape(0))), width(static_cast<std::ptrdiff_t>(plane.shape(1))) {
+        require(height > 0 && width > 0, "an image has one pixel at least; got an empty one");
+    }
 
     float operator()(double x, double y) const {
         if (!(std::isfinite(x) && std::isfinite(y))) return 0.0f;
@@ -51,7 +49,7 @@ struct Sampler {
 
 template <typename Pixel>
 void sample(const Plane<Pixel>& plane, const Places& points, nb::ndarray<float, nb::ndim<1>, nb::device::cpu, nb::c_contig> values) {
-    require(values.size() == points.shape(0));
+    require(values.size() == points.shape(0), "the arrays' lengths do not match");
     const Sampler<Pixel> read(plane);
     const double* at = points.data();
     float* out = values.data();
@@ -110,7 +108,7 @@ template <typename Pixel>
 void read_rings(const Plane<Pixel>& plane, const Places& points, double radius, double min_contrast, double max_unlikeness,
                 FlagsOut is_corner, DoublesOut rays, DoublesOut contrast) {
     const std::size_t n = points.shape(0);
-    require(is_corner.size() == n && rays.size() == 4 * n && contrast.size() == n);
+    require(is_corner.size() == n && rays.size() == 4 * n && contrast.size() == n, "the arrays' lengths do not match");
     const Sampler<Pixel> read(plane);
     const RingLimits limits{radius, min_contrast, max_unlikeness};
     const double* at = points.data();
@@ -124,8 +122,9 @@ void read_rings(const Plane<Pixel>& plane, const Places& points, double radius, 
 // Moves points to the saddle of the quadratic that the rows of `fit` (x^2, xy, y^2, x, y) find in the window around them.
 template <typename Pixel>
 void localize_saddles(const Plane<Pixel>& plane, const Doubles& fit, std::ptrdiff_t reach, DoublesOut points) {
+    require(reach >= 0 && reach < 1000, "the reach must be 0 or more pixels, and below 1000");
     const std::ptrdiff_t side = 2 * reach + 1, area = side * side;
-    require(fit.size() == static_cast<std::size_t>(5 * area) && points.size() % 2 == 0);
+    require(fit.size() == static_cast<std::size_t>(5 * area) && points.size() % 2 == 0, "the arrays' lengths do not match");
     const auto height = static_cast<std::ptrdiff_t>(plane.shape(0)), width = static_cast<std::ptrdiff_t>(plane.shape(1));
     const Pixel* image = plane.data();
     const double* weights = fit.data();
@@ -168,7 +167,7 @@ template <typename Pixel>
 void follow_edges(const Plane<Pixel>& plane, const Places& start, const Places& way, const Doubles& sign, const Doubles& contrast,
                   FlagsOut is_seen) {
     const std::size_t n = start.shape(0);
-    require(way.shape(0) == n && sign.size() == n && contrast.size() == n && is_seen.size() == n);
+    require(way.shape(0) == n && sign.size() == n && contrast.size() == n && is_seen.size() == n, "the arrays' lengths do not match");
     const Sampler<Pixel> read(plane);
     const double *from = start.data(), *to = way.data(), *s = sign.data(), *c = contrast.data();
     bool* out = is_seen.data();
@@ -176,19 +175,22 @@ void follow_edges(const Plane<Pixel>& plane, const Places& start, const Places& 
     for (std::size_t i = 0; i < n; ++i) out[i] = is_edge(read, from[2 * i], from[2 * i + 1], to[2 * i], to[2 * i + 1], s[i], c[i]);
 }
 
-// The nearest points to each point, nearest first, -1 where there are no more.
-std::vector<std::array<int, kNeighbours>> find_nearest(const double* points, int n) {
-    std::vector<int> order(n);
-    std::iota(order.begin(), order.end(), 0);
+// The nearest points to each point, nearest first, -1 where there are no more. Points that are no numbers have none and are none's.
+std::vector<std::array<int, kNeighbours>> find_nearest(const double* points, int n_points) {
+    std::vector<int> order;
+    order.reserve(n_points);
+    for (int i = 0; i < n_points; ++i)
+        if (std::isfinite(points[2 * i]) && std::isfinite(points[2 * i + 1])) order.push_back(i);
+    const int n = static_cast<int>(order.size());
     std::sort(order.begin(), order.end(), [&](int a, int b) { return points[2 * a + 1] < points[2 * b + 1]; });
-    std::vector<std::array<int, kNeighbours>> nearest(n);
+    std::vector<std::array<int, kNeighbours>> nearest(n_points);
+    for (auto& none : nearest) none.fill(-1);
     for (int place = 0; place < n; ++place) {
         const int self = order[place];
         const double x = points[2 * self], y = points[2 * self + 1];
         double distance[kNeighbours];
         std::fill_n(distance, kNeighbours, std::numeric_limits<double>::infinity());
         auto& near = nearest[self];
-        near.fill(-1);
         int up = place - 1, down = place + 1;
         while (up >= 0 || down < n) {
             const double above = up >= 0 ? y - points[2 * order[up] + 1] : std::numeric_limits<double>::infinity();
@@ -334,7 +336,7 @@ template <typename Pixel>
 void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles& rays, const Doubles& contrast, double max_turn,
                   IndicesOut neighbour, IndicesOut back_ray) {
     const std::size_t n = points.shape(0);
-    require(rays.size() == 4 * n && contrast.size() == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n);
+    require(rays.size() == 4 * n && contrast.size() == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n, "the arrays' lengths do not match");
     Corners corners{points.data(), rays.data(), contrast.data(), {}, static_cast<int>(n)};
     const Sampler<Pixel> read(plane);
     std::int64_t *to = neighbour.data(), *back = back_ray.data();
@@ -351,10 +353,10 @@ void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles
 std::size_t grow_groups(const Places& points, const IndicesIn& neighbour, const IndicesIn& back_ray, IndicesOut members, IndicesOut cells, IndicesOut turns,
                         IndicesOut groups) {
     const std::size_t n = members.size();
-    require(points.shape(0) == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n && cells.size() == 2 * n && turns.size() == n && groups.size() == n);
+    require(points.shape(0) == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n && cells.size() == 2 * n && turns.size() == n && groups.size() == n, "the arrays' lengths do not match");
     const std::int64_t *to = neighbour.data(), *back = back_ray.data();
     for (std::size_t i = 0; i < 4 * n; ++i)
-        require(to[i] < static_cast<std::int64_t>(n) && (to[i] < 0 || (back[i] >= 0 && back[i] < 4)));
+        require(to[i] < static_cast<std::int64_t>(n) && (to[i] < 0 || (back[i] >= 0 && back[i] < 4)), "the arrays' lengths do not match");
     std::int64_t *m = members.data(), *c = cells.data(), *t = turns.data(), *g = groups.data();
     const double* at = points.data();
     nb::gil_scoped_release unlocked;

@@ -1,0 +1,259 @@
+"""Every function of the kernel with shapes, sizes and contents that nobody should give it: an answer or a ValueError, never a crash.
+
+Not collected by a plain pytest run: ``make sanitize`` runs it under AddressSanitizer and UndefinedBehaviorSanitizer, where reading
+one value beyond an array ends the run. ``BINOCAL_FUZZ_ROUNDS`` makes it longer, ``BINOCAL_FUZZ_SEED`` another one.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from binocal import kernels
+from binocal.kernels import _kernel, images
+
+ROUNDS = int(os.environ.get("BINOCAL_FUZZ_ROUNDS", "300"))
+SEED = int(os.environ.get("BINOCAL_FUZZ_SEED", "0"))
+ODD_VALUES = [
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    0.5,
+    np.nan,
+    np.inf,
+    -np.inf,
+    1e-310,
+    1e300,
+    -1e300,
+    1e19,
+    2.0**31,
+    -(2.0**63),
+    640.0,
+    1e-9,
+]
+MODELS = {"brown4": 9, "brown5": 10, "brown8": 13, "fisheye4": 9}
+KERNELS = ["squared", "cauchy", "hampel"]
+
+
+class Fuzz:
+    """Random arrays: mostly of the right shape, with contents from ordinary to absurd."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng([SEED, seed])
+        self.madness = self.rng.choice([0.0, 0.02, 0.3, 1.0])
+        self.misfit = self.rng.random() < 0.25
+
+    def size(self, most: int = 9) -> int:
+        return int(self.rng.choice([0, 1, 2, 3, most, int(self.rng.integers(0, most + 1))]))
+
+    def floats(self, *shape: int, scale: float = 1.0, dtype: type = float) -> np.ndarray:
+        if self.misfit and self.rng.random() < 0.2 and shape:
+            shape = (*shape[:-1], max(0, shape[-1] + int(self.rng.choice([-1, 1]))))
+        values = scale * self.rng.standard_normal(shape)
+        odd = self.rng.random(shape) < self.madness
+        with np.errstate(all="ignore"):
+            return np.where(odd, self.rng.choice(ODD_VALUES, shape), values).astype(dtype)
+
+    def bools(self, *shape: int) -> np.ndarray:
+        return self.rng.random(shape) < 0.7
+
+    def image(self, dtypes: tuple[type, ...] = (np.uint8, np.float32)) -> np.ndarray:
+        height, width = (int(self.rng.choice([0, 1, 2, 3, 5, 17, 40])) for _ in range(2))
+        dtype = self.rng.choice(dtypes)
+        if dtype == np.float32:
+            return self.floats(height, width, scale=100.0, dtype=np.float32)
+        return self.rng.integers(0, np.iinfo(dtype).max, (height, width), dtype=dtype, endpoint=True)
+
+    def places(self, n: int) -> np.ndarray:
+        return self.floats(n, 2, scale=30.0)
+
+
+def accumulate(f: Fuzz) -> None:
+    kernels.accumulate(*corners(f), f.floats(*f.batch, scale=2.0), f.rng.choice(KERNELS), whitening=whitening(f))
+
+
+def corners(f: Fuzz) -> tuple:
+    model = f.rng.choice(list(MODELS))
+    f.batch, f.views, f.n = tuple(f.size(2) for _ in range(f.rng.integers(0, 2))), f.size(4), f.size(12)
+    parameters = f.floats(*f.batch, MODELS[model]) + np.r_[600, 600, 320, 240, np.zeros(MODELS[model] - 4)]
+    pixels = f.floats(*f.batch, f.views, 2, f.n, scale=300.0)
+    poses = f.floats(*f.batch, f.views, 3, 3), f.floats(*f.batch, f.views, 3)
+    return str(model), parameters, *poses, f.floats(3, f.n), pixels, f.bools(*f.batch, f.views, f.n)
+
+
+def whitening(f: Fuzz) -> np.ndarray | None:
+    return f.floats(*f.batch, f.views, 3, f.n) if f.rng.random() < 0.5 else None
+
+
+def squared_lengths(f: Fuzz) -> None:
+    given = corners(f)
+    kernels.squared_lengths(*given, whitening(f))
+
+
+def unweighted_columns(f: Fuzz) -> None:
+    model, parameters, R, t, points, pixels, is_seen = corners(f)
+    if not f.batch:
+        kernels.unweighted_columns(model, parameters, R, t, points, pixels, is_seen)
+
+
+def robust_costs(f: Fuzz) -> None:
+    rigs = f.size()
+    kernels.robust_costs(f.floats(rigs, f.size(20)) ** 2, f.floats(rigs), f.rng.choice(KERNELS))
+
+
+def median_lengths2(f: Fuzz) -> None:
+    shape = (f.size(3), f.size(4), f.size(20))
+    kernels.median_lengths2((f.floats(*shape), f.floats(*shape)), (f.bools(*shape), f.bools(*shape)))
+
+
+def grams(f: Fuzz) -> tuple:
+    f.batch, f.views, q = (f.size(2),), f.size(4), 7 + f.size(6)
+    n_cameras = int(f.rng.integers(1, 3))
+    sides = []
+    for _ in range(n_cameras):
+        J = f.floats(*f.batch, f.views, 2 * q, q)
+        sides.append(J.swapaxes(-1, -2) @ J)
+    T = (f.floats(*f.batch, 3, 3), f.floats(*f.batch, 3)) if n_cameras == 2 else None
+    return tuple(sides), T
+
+
+def solve_steps(f: Fuzz) -> None:
+    with np.errstate(all="ignore"):
+        sides, T = grams(f)
+    kernels.solve_steps(sides, T, 1 + np.abs(f.floats(*f.batch)), is_rig_free=bool(f.rng.random() < 0.7))
+
+
+def reduced_information(f: Fuzz) -> None:
+    with np.errstate(all="ignore"):
+        kernels.reduced_information(*grams(f))
+
+
+def step_poses(f: Fuzz) -> None:
+    n = f.size()
+    kernels.step_poses(f.floats(n, 3, 3), f.floats(n, 3), f.floats(n, 6))
+
+
+def compose_poses(f: Fuzz) -> None:
+    rigs, views = f.size(3), f.size(4)
+    kernels.compose_poses(
+        f.floats(rigs, 3, 3), f.floats(rigs, 3), f.floats(rigs, views, 3, 3), f.floats(rigs, views, 3)
+    )
+
+
+def pixels_behind(f: Fuzz) -> None:
+    model, parameters, R, t, points, pixels, _ = corners(f)
+    if not f.batch:
+        return
+    rig = None if f.rng.random() < 0.5 else (f.floats(*f.batch, 3, 3), f.floats(*f.batch, 3), f.floats(*f.batch, 6))
+    step = f.floats(*f.batch, f.views, 6)
+    kernels.pixels_behind(
+        model, (parameters, f.floats(*parameters.shape)), (R, t, step), rig, points, pixels, f.floats(*f.batch)
+    )
+
+
+def fit_planes(f: Fuzz) -> None:
+    views, n = f.size(4), f.size(30)
+    kernels.fit_planes(f.floats(n, 2), f.floats(views, n), f.floats(views, n), np.abs(f.floats(views, n)), f.size(3))
+
+
+def observe(f: Fuzz) -> None:
+    rigs, views, n, s = f.size(3), f.size(4), f.size(12), 6 + f.size(4)
+    shape = (rigs, views, n)
+    steps, before = (
+        kernels.Steps(f.floats(rigs, s), f.floats(rigs, views, 6), f.floats(rigs), f.floats(rigs, s), f.floats(rigs))
+        for _ in range(2)
+    )
+    last = kernels.LastIteration(f.floats(rigs), f.floats(rigs), f.bools(rigs), f.floats(rigs), before)
+    kernels.observe(
+        (np.abs(f.floats(*shape)), np.abs(f.floats(*shape))),
+        (f.bools(*shape), f.bools(*shape)),
+        f.floats(rigs),
+        steps,
+        f.floats(rigs, 3),
+        f.floats(rigs, views, 3),
+        last,
+    )
+
+
+def saddle_response(f: Fuzz) -> None:
+    images.saddle_response(f.image((np.float32,)))
+
+
+def find_peaks(f: Fuzz) -> None:
+    reach, margin = (int(f.rng.integers(-1, 9)) for _ in range(2))
+    images.find_peaks(f.image((np.float32,)), reach, margin, float(f.rng.normal()), f.size(50))
+
+
+def sample(f: Fuzz) -> None:
+    images.sample(f.image(), f.places(f.size(50)))
+
+
+def read_rings(f: Fuzz) -> None:
+    radius, contrast, unlike = f.floats(3, scale=5.0)[:3] if not f.misfit else (3.0, 1.0, 1.0)
+    images.read_rings(f.image(), f.places(f.size(50)), float(radius), float(contrast), float(unlike))
+
+
+def localize_saddles(f: Fuzz) -> None:
+    reach = int(f.rng.integers(-2, 5))
+    images.localize_saddles(f.image(), f.places(f.size(20)), f.floats(5, max(0, (2 * reach + 1) ** 2)), reach)
+
+
+def follow_edges(f: Fuzz) -> None:
+    n = f.size(20)
+    images.follow_edges(f.image(), f.places(n), f.places(n), f.floats(n), f.floats(n))
+
+
+def link_corners(f: Fuzz) -> None:
+    n = f.size(40)
+    images.link_corners(
+        f.image(), f.places(n), f.floats(n, 4, scale=3.0), f.floats(n, scale=50.0), float(f.rng.normal())
+    )
+
+
+def grow_groups(f: Fuzz) -> None:
+    n = f.size(20)
+    neighbour = f.rng.integers(-2, n + (1 if f.misfit else 0), (n, 4)) if n else np.empty((0, 4), np.int64)
+    back = f.rng.integers(-1 if f.misfit else 0, 4, (n, 4))
+    images.grow_groups(f.places(n), neighbour.astype(np.int64), back.astype(np.int64))
+
+
+def fit_corners(f: Fuzz) -> None:
+    n = f.size(9)
+    image = f.image((np.uint8, np.uint16, np.float32))
+    images.fit_corners(image, f.places(n), np.abs(f.floats(n, scale=8.0)), np.abs(f.floats(n, scale=8.0)))
+
+
+def pool_corners(f: Fuzz) -> None:
+    n = f.size(12)
+    fits = images.CornerFits(f.floats(n, _kernel.CORNER_RESULT_SIZE, scale=5.0))
+    images.pool_corners(fits, f.floats(n, 2) if f.rng.random() < 0.5 else None)
+
+
+FUNCTIONS = [
+    accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
+    compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
+    follow_edges, link_corners, grow_groups, fit_corners, pool_corners,
+]  # fmt: skip
+
+
+def test_every_function_of_the_extension_is_fuzzed():
+    called = {name for function in FUNCTIONS for name in (function.__name__,)}
+    other_names = {"robust_costs": "costs", "median_lengths2": "medians", "reduced_information": "solve_steps"}
+    exported = {name for name in dir(_kernel) if callable(getattr(_kernel, name)) and not name.startswith("_")}
+    assert exported == {other_names.get(name, name) for name in called}
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
+def test_nothing_crashes(function):
+    n_answers = 0
+    for seed in range(ROUNDS):
+        with np.errstate(all="ignore"):
+            try:
+                function(Fuzz(seed))
+                n_answers += 1
+            except (ValueError, TypeError, IndexError):  # named, by the kernel or by NumPy on the way to it
+                pass
+    assert n_answers > ROUNDS / 20
