@@ -93,3 +93,17 @@ def test_selected_rigs_are_the_same_rigs(rigs):
         distance_sigma(rigs.select(pick), take_rigs(start, pick)), distance_sigma(rigs, start)[pick]
     )
     assert rigs.select(pick).n_rigs == 2
+
+
+def test_selected_rigs_keep_the_weights_of_their_own_corners():
+    # (rigs, views, 3, n): without the selection a rig would be solved with the weights of another
+    rigs = sample_rigs(RIG_SETS["weak"], 3, np.random.default_rng(0))
+    weights = np.random.default_rng(1).uniform(0.5, 2.0, (*rigs.problem.cameras[0].is_seen.shape[:2], 3, 88))
+    cameras = tuple(replace(c, whitening=weights) for c in rigs.problem.cameras)
+    weighted = replace(rigs, problem=replace(rigs.problem, cameras=cameras))
+    part = weighted.select(np.array([2, 0]))
+    for camera in part.problem.cameras:
+        assert np.array_equal(camera.whitening, weights[[2, 0]])
+    whole = residual_lengths2(weighted.problem, weighted.optimum)
+    for some, all_of_them in zip(residual_lengths2(part.problem, part.optimum), whole, strict=True):
+        assert np.array_equal(some, all_of_them[[2, 0]])

@@ -298,5 +298,13 @@ def select_loop(state: LoopState, index: ndarray) -> LoopState:
 
 def select_problem(problem: BundleProblem, index: ndarray) -> BundleProblem:
     """The measurements of those rigs of a batch."""
-    cameras = tuple(replace(c, pixels=c.pixels[index], is_seen=c.is_seen[index]) for c in problem.cameras)
+    cameras = tuple(
+        replace(
+            c,
+            pixels=c.pixels[index],
+            is_seen=c.is_seen[index],
+            whitening=None if c.whitening is None else c.whitening[index],
+        )
+        for c in problem.cameras
+    )
     return replace(problem, cameras=cameras)
