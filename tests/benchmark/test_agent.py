@@ -40,7 +40,7 @@ def test_packing_the_batch_changes_no_rig():
     rigs, start = held_out_rigs("stress", 12, 1)
     controller = LearnedController(shipped_policy(AgentKind.DRL))
     together = solve_rigs(rigs, start, controller, 0.3).n_iterations
-    from binocal.rl.rig_batches import take_rigs
+    from binocal.solvers.arrays import take_rigs
 
     alone = [
         int(solve_rigs(rigs.select(i), take_rigs(start, i), controller, 0.3).n_iterations[0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from binocal.rl.agent_kind import AgentKind
-from binocal.rl.rig_batches import distance_sigma, sample_starts, select_loop, take_rigs
+from binocal.rl.rig_batches import distance_sigma, sample_starts
 from binocal.rl.task import (
     INCREMENT_REACH,
     KERNEL,
@@ -25,6 +25,7 @@ from binocal.rl.task import (
     steering_action,
     transition,
 )
+from binocal.solvers.arrays import take_rigs
 from binocal.solvers.steering import Action, advance
 
 KINDS = (AgentKind.DRL, AgentKind.DRL_INCREMENTS)
@@ -87,7 +88,7 @@ def test_what_the_six_numbers_ask_for(rigs, start):
     action = steering_action(rows[rigs], loop)
     pivot = loop.newton.least_pivot
     np.testing.assert_allclose(action.damping, np.array([0, 500, 0, 0])[rigs] * pivot, rtol=1e-4)
-    loop = select_loop(loop, np.zeros(4, dtype=int))
+    loop = take_rigs(loop, np.zeros(4, dtype=int))
     action = steering_action(rows, loop)
     np.testing.assert_allclose(action.scale_factor, [1, np.exp(1.5), np.exp(-1.5), 1])
     np.testing.assert_allclose(action.stretch, np.exp(0.4 * np.array([0, 1, -1, 0]))[:, None] * [1, 1])

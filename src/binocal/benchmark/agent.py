@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -24,8 +24,9 @@ from binocal.result import StereoCalibration
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.evaluation import CORRECTED, Row, compare_on, format_rows, held_out_rigs, simulated_evaluation_set
 from binocal.rl.policy import shipped_policy
-from binocal.rl.rig_batches import RIG_SETS, SIZE_WH, RigBatch, corrupt_corners, take_rigs
+from binocal.rl.rig_batches import RIG_SETS, SIZE_WH, RigBatch, corrupt_corners
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections
+from binocal.solvers.arrays import take_rigs
 from binocal.solvers.bundle import BundleEstimate, BundleProblem
 from binocal.solvers.controllers import Controller
 from binocal.solvers.least_squares import Minimum, minimize
@@ -190,16 +191,7 @@ def _solve_led(controller: Controller, problem: BundleProblem, start: BundleEsti
 
 def _one(rigs: RigBatch, start: BundleEstimate, index: int) -> tuple[BundleProblem, BundleEstimate]:
     """One rig of a batch, without the batch's dimension."""
-    part, first = rigs.select(np.array([index])).problem, take_rigs(start, np.array([index]))
-    cameras = tuple(replace(c, pixels=c.pixels[0], is_seen=c.is_seen[0]) for c in part.cameras)
-    estimate = BundleEstimate(
-        tuple(p[0] for p in first.parameters),
-        first.R_left_board[0],
-        first.t_left_board[0],
-        None if first.R_right_left is None else first.R_right_left[0],
-        None if first.t_right_left is None else first.t_right_left[0],
-    )
-    return replace(part, cameras=cameras), estimate
+    return take_rigs(rigs.problem, index), take_rigs(start, index)
 
 
 def _format_times(times: list[dict[str, Any]]) -> str:

@@ -31,6 +31,17 @@ class SE3(ArrayValue):
         object.__setattr__(self, "R", R)
         object.__setattr__(self, "t", t)
 
+    @classmethod
+    def unchecked(cls, R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> SE3:
+        """A transform of float arrays that are known to be sound: neither copied nor checked nor set read-only.
+
+        For inner loops: 1 us instead of 40. The arrays must not be changed afterwards.
+        """
+        transform = object.__new__(cls)
+        object.__setattr__(transform, "R", R)
+        object.__setattr__(transform, "t", t)
+        return transform
+
     @staticmethod
     def identity() -> SE3:
         """The transform that changes nothing."""

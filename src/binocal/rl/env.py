@@ -31,7 +31,7 @@ give other rigs: train on one, evaluate on another.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -57,6 +57,7 @@ from binocal.rl.task import (
     transition,
 )
 from binocal.shapes import Bool, Float, Float32, Int
+from binocal.solvers.arrays import join_rigs, replace_rigs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -138,7 +139,7 @@ def begin_episodes(options: EnvOptions, generators: Sequence[np.random.Generator
         rig.append(int(rng.integers(pool.n_rigs)))
         starts.append(sample_starts(pool.select(np.array(rig[-1:])), rng))
     rigs = pool.select(np.array(rig))
-    state = initial(rigs.problem, _joined(starts), options.kind)
+    state = initial(rigs.problem, join_rigs(starts), options.kind)
     return Batch(np.array(rig), rigs, state, distance_sigma(rigs, state.loop.estimate))
 
 
@@ -286,8 +287,8 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         if not len(place):
             return batch
         new = begin_episodes(self.options, [self._generators[i] for i in place])
-        rig = _replaced(batch.rig, place, new.rig)
-        state, sigma = _replaced(batch.state, place, new.state), _replaced(batch.sigma, place, new.sigma)
+        rig = replace_rigs(batch.rig, place, new.rig)
+        state, sigma = replace_rigs(batch.state, place, new.state), replace_rigs(batch.sigma, place, new.sigma)
         return Batch(rig, self.options.pool().select(rig), state, sigma)
 
     def _final(self, batch: Batch, has_ended: Bool[ndarray, "n"]) -> dict[str, Any]:
@@ -322,28 +323,3 @@ def _with_masks(info: dict[str, Any], is_there: Bool[ndarray, "n"]) -> dict[str,
         for name, entry in info.items()
         for key, value in ((name, copy.copy(entry)), (f"_{name}", is_there.copy()))
     }
-
-
-def _joined(parts: Sequence[Any]) -> Any:
-    """One batch of several: arrays joined along their first axis, through dataclasses and tuples."""
-    first = parts[0]
-    if isinstance(first, ndarray):
-        return np.concatenate(parts)
-    if isinstance(first, tuple):
-        return tuple(_joined(side) for side in zip(*parts, strict=True))
-    if is_dataclass(first):
-        return type(first)(*(_joined([getattr(part, f.name) for part in parts]) for f in fields(first)))
-    return first
-
-
-def _replaced(old: Any, place: Int[ndarray, "k"], new: Any) -> Any:
-    """A copy of a batch with other entries in those places of every array's first axis."""
-    if isinstance(old, ndarray):
-        out = old.copy()
-        out[place] = new
-        return out
-    if isinstance(old, tuple):
-        return tuple(_replaced(a, place, b) for a, b in zip(old, new, strict=True))
-    if is_dataclass(old):
-        return type(old)(*(_replaced(getattr(old, f.name), place, getattr(new, f.name)) for f in fields(old)))
-    return old

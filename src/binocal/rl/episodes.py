@@ -10,9 +10,8 @@ from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.registration import MAX_STEPS
-from binocal.rl.rig_batches import RigBatch, remaining_sigma, select_loop
+from binocal.rl.rig_batches import RigBatch, remaining_sigma
 from binocal.rl.task import (
-    TaskState,
     has_arrived,
     initial,
     observation,
@@ -20,6 +19,7 @@ from binocal.rl.task import (
     transition,
 )
 from binocal.shapes import Bool, Float, Int
+from binocal.solvers.arrays import take_rigs
 from binocal.solvers.bundle import BundleEstimate
 
 COMPACTION_SHARE = 0.8  # a batch is packed when fewer of its rigs than this still run
@@ -98,5 +98,5 @@ def run_episodes(
         if is_live.mean() < COMPACTION_SHARE:
             keep = np.flatnonzero(is_live)
             running, rig, seen, sigma = running.select(keep), rig[keep], seen[keep], sigma[keep]
-            state = TaskState(select_loop(state.loop, keep), state.last_action[keep], state.n_steps[keep])
+            state = take_rigs(state, keep)
     return EpisodeOutcome(n_iterations, arrived, total)

@@ -16,9 +16,10 @@ from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.registration import MAX_STEPS
-from binocal.rl.rig_batches import RIG_SETS, RigBatch, remaining_sigma, sample_rigs, sample_starts, select_loop
+from binocal.rl.rig_batches import RIG_SETS, RigBatch, remaining_sigma, sample_rigs, sample_starts
 from binocal.rl.task import KERNEL, n_actions
 from binocal.shapes import Bool, Float, Int
+from binocal.solvers.arrays import take_rigs
 from binocal.solvers.bundle import BundleEstimate
 from binocal.solvers.controllers import Controller, Marquardt, Nielsen, Schedule
 from binocal.solvers.steering import advance, begin
@@ -68,7 +69,7 @@ def solve_rigs(
         if not len(keep):
             break
         if len(keep) < COMPACTION_SHARE * len(rig):
-            rigs, rig, state = rigs.select(keep), rig[keep], select_loop(state, keep)
+            rigs, rig, state = rigs.select(keep), rig[keep], take_rigs(state, keep)
             memory = {name: values[keep] for name, values in memory.items()}
     return SolveOutcome(n_iterations, has_arrived, None if total is None else total / max(count, 1))
 

@@ -14,14 +14,12 @@ from numpy import ndarray
 from binocal.boards import parse_board
 from binocal.cameras import camera_model
 from binocal.geometry import so3
-from binocal.kernels import ViewEquations
 from binocal.shapes import Float
 from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses
+from binocal.solvers.arrays import SHARED, take_rigs
 from binocal.solvers.bundle import (
-    BundleEquations,
     BundleEstimate,
     BundleProblem,
-    BundleStep,
     CameraObservations,
     cost_under,
     linearize,
@@ -83,10 +81,6 @@ class LowestCost:
     cost_px2: Float[ndarray, "rigs"]
     scale_px: Float[ndarray, "rigs"]
 
-    def select(self, index: ndarray) -> LowestCost:
-        """Those rigs."""
-        return LowestCost(self.cost_px2[index], self.scale_px[index])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigBatch:
@@ -95,7 +89,7 @@ class RigBatch:
     ``whitening`` turns a left step from the optimum (rotation, translation) into standard deviations.
     """
 
-    options: RigDistribution
+    options: RigDistribution = field(metadata=SHARED)
     problem: BundleProblem
     optimum: BundleEstimate
     left_poses: tuple[Float[ndarray, "rigs views 3 3"], Float[ndarray, "rigs views 3"]]
@@ -111,26 +105,7 @@ class RigBatch:
 
     def select(self, index: ndarray) -> RigBatch:
         """Those rigs."""
-        return replace(
-            self,
-            problem=select_problem(self.problem, index),
-            optimum=take_rigs(self.optimum, index),
-            left_poses=(self.left_poses[0][index], self.left_poses[1][index]),
-            whitening=self.whitening[index],
-            noise_px=self.noise_px[index],
-            lowest=None if self.lowest is None else self.lowest.select(index),
-        )
-
-
-def take_rigs(estimate: BundleEstimate, index: ndarray) -> BundleEstimate:
-    """The estimates of those rigs of a batch."""
-    return BundleEstimate(
-        tuple(p[index] for p in estimate.parameters),
-        estimate.R_left_board[index],
-        estimate.t_left_board[index],
-        None if estimate.R_right_left is None else estimate.R_right_left[index],
-        None if estimate.t_right_left is None else estimate.t_right_left[index],
-    )
+        return take_rigs(self, index)
 
 
 def sample_rigs(options: RigDistribution, n_rigs: int, rng: np.random.Generator) -> RigBatch:
@@ -266,45 +241,3 @@ def remaining_sigma(rigs: RigBatch, loop: LoopState) -> Float[ndarray, "rigs"]:
 def _directions(n: int, rng: np.random.Generator) -> Float[ndarray, "n 3"]:
     v = rng.standard_normal((n, 3))
     return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
-def select_loop(state: LoopState, index: ndarray) -> LoopState:
-    """The solves of those rigs of a batch."""
-
-    def steps(step: BundleStep) -> BundleStep:
-        return BundleStep(
-            step.shared[index],
-            step.views[index],
-            step.predicted_px2[index],
-            step.gradient_px2[index],
-            step.least_pivot[index],
-        )
-
-    e = state.equations
-    cameras = tuple(ViewEquations(c.gram[index], c.r2_px2[index], c.cost_px2[index]) for c in e.cameras)
-    return LoopState(
-        take_rigs(state.estimate, index),
-        BundleEquations(cameras, e.cost_px2[index], e.prior_energy[index], e.scale_px[index]),
-        steps(state.newton),
-        state.scale_px[index],
-        state.mad_px[index],
-        state.is_kept[index],
-        state.gain[index],
-        state.previous_mad_px[index],
-        steps(state.previous_newton),
-        (state.home[0][index], state.home[1][index]),
-    )
-
-
-def select_problem(problem: BundleProblem, index: ndarray) -> BundleProblem:
-    """The measurements of those rigs of a batch."""
-    cameras = tuple(
-        replace(
-            c,
-            pixels=c.pixels[index],
-            is_seen=c.is_seen[index],
-            whitening=None if c.whitening is None else c.whitening[index],
-        )
-        for c in problem.cameras
-    )
-    return replace(problem, cameras=cameras)

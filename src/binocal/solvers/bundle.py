@@ -12,7 +12,7 @@ once. All functions are pure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from binocal.kernels import (
 )
 from binocal.shapes import Bool, Float
 from binocal.solvers import plain_equations, robust
+from binocal.solvers.arrays import SHARED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +46,10 @@ class CameraObservations:
     :class:`binocal.solvers.whitening.CornerWeights`, None where all corners are alike.
     """
 
-    model: CameraModel
+    model: CameraModel = field(metadata=SHARED)
     pixels: Float[ndarray, "*batch views 2 n"]
     is_seen: Bool[ndarray, "*batch views n"]
-    is_free: Bool[ndarray, "p"]
+    is_free: Bool[ndarray, "p"] = field(metadata=SHARED)
     whitening: Float[ndarray, "*batch views 3 n"] | None = None
 
     @staticmethod
@@ -80,7 +81,7 @@ class CameraObservations:
 class BundleProblem:
     """The measurements: one or two cameras that saw the same views of the board."""
 
-    object_points: Float[ndarray, "3 n"]
+    object_points: Float[ndarray, "3 n"] = field(metadata=SHARED)
     cameras: tuple[CameraObservations, ...]
     is_rig_free: bool = True
 
@@ -320,36 +321,3 @@ def straightened(
         )
         cameras.append(replace(camera, pixels=pixels))
     return replace(problem, cameras=tuple(cameras))
-
-
-def select_rigs(take: Bool[ndarray, "*batch"], new: BundleEstimate, old: BundleEstimate) -> BundleEstimate:
-    """Rig by rig, the new estimate where ``take``, else the old one."""
-
-    def pick(a: ndarray | None, b: ndarray | None) -> ndarray | None:
-        return None if a is None else np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
-
-    return BundleEstimate(
-        tuple(pick(a, b) for a, b in zip(new.parameters, old.parameters, strict=True)),
-        pick(new.R_left_board, old.R_left_board),
-        pick(new.t_left_board, old.t_left_board),
-        pick(new.R_right_left, old.R_right_left),
-        pick(new.t_right_left, old.t_right_left),
-    )
-
-
-def select_equations(take: Bool[ndarray, "*batch"], new: BundleEquations, old: BundleEquations) -> BundleEquations:
-    """Rig by rig, the new equations where ``take``, else the old ones."""
-
-    def pick(a: ndarray, b: ndarray) -> ndarray:
-        return np.where(take.reshape(take.shape + (1,) * (a.ndim - take.ndim)), a, b)
-
-    cameras = tuple(
-        type(a)(pick(a.gram, b.gram), pick(a.r2_px2, b.r2_px2), pick(a.cost_px2, b.cost_px2))
-        for a, b in zip(new.cameras, old.cameras, strict=True)
-    )
-    return BundleEquations(
-        cameras,
-        pick(new.cost_px2, old.cost_px2),
-        pick(new.prior_energy, old.prior_energy),
-        pick(new.scale_px, old.scale_px),
-    )

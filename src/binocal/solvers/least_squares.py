@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
+from binocal.solvers.arrays import choose_rigs
 from binocal.solvers.bundle import (
     BundleEquations,
     BundleEstimate,
@@ -22,8 +23,6 @@ from binocal.solvers.bundle import (
     noise_estimate_px,
     residual_lengths2,
     retract,
-    select_equations,
-    select_rigs,
     solve_step,
 )
 
@@ -126,8 +125,8 @@ def minimize(
         if take.all():
             estimate, equations = candidate, trial
         elif take.any():
-            estimate = select_rigs(take, candidate, estimate)
-            equations = select_equations(take, trial, equations)
+            estimate = choose_rigs(take, candidate, estimate)
+            equations = choose_rigs(take, trial, equations)
         mad = np.maximum(
             options.scale_factor * noise_estimate_px(problem, tuple(e.r2_px2 for e in equations.cameras)), 1e-300
         )

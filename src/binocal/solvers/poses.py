@@ -12,12 +12,11 @@ from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.initialization.poses import estimate_poses
 from binocal.shapes import Bool, Float
+from binocal.solvers.arrays import choose_rigs
 from binocal.solvers.bundle import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    select_equations,
-    select_rigs,
 )
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.whitening import CornerWeights
@@ -120,7 +119,7 @@ def _better(a: Minimum, b: Minimum) -> Minimum:
     take = a.scale_px < b.scale_px
     return replace(
         a,
-        estimate=select_rigs(take, a.estimate, b.estimate),
-        equations=select_equations(take, a.equations, b.equations),
+        estimate=choose_rigs(take, a.estimate, b.estimate),
+        equations=choose_rigs(take, a.equations, b.equations),
         scale_px=np.where(take, a.scale_px, b.scale_px),
     )

@@ -17,6 +17,7 @@ from binocal.kernels import LastIteration
 from binocal.kernels import observe as _observe
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
+from binocal.solvers.arrays import choose_rigs
 from binocal.solvers.bundle import (
     BundleEquations,
     BundleEstimate,
@@ -27,8 +28,6 @@ from binocal.solvers.bundle import (
     noise_estimate_px,
     residual_lengths2,
     retract,
-    select_equations,
-    select_rigs,
     solve_step,
     straightened,
 )
@@ -120,8 +119,8 @@ def advance(problem: BundleProblem, state: LoopState, action: Action, kernel: ro
     if is_kept.all():
         estimate, equations = candidate, trial
     else:
-        estimate = select_rigs(is_kept, candidate, state.estimate)
-        equations = select_equations(is_kept, trial, state.equations)
+        estimate = choose_rigs(is_kept, candidate, state.estimate)
+        equations = choose_rigs(is_kept, trial, state.equations)
         scale, mad = np.where(is_kept, scale, state.scale_px), np.where(is_kept, mad, state.mad_px)
     newton = solve_step(problem, estimate, equations, np.zeros(mad.shape)) if is_kept.any() else state.newton
     gain = np.full(mad.shape, -1.0)

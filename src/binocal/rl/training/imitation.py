@@ -16,12 +16,13 @@ import torch
 from numpy import ndarray
 
 from binocal.rl.policy import Policy
-from binocal.rl.rig_batches import RigBatch, remaining_sigma, sample_starts, select_loop
+from binocal.rl.rig_batches import RigBatch, remaining_sigma, sample_starts
 from binocal.rl.task import TaskState, initial, n_actions, observation, observation_names, transition
 from binocal.rl.training.networks import Actor
 from binocal.rl.training.replay import ReplayBuffer
 from binocal.rl.training.td3 import TD3Options
 from binocal.rl.training.trainer import CENTRES, MAX_TRAINING_STEPS, TrainingOptions, policy_of
+from binocal.solvers.arrays import take_rigs
 
 N_TRIED = 16  # actions tried in each state
 SEARCH_SPREAD = 0.3
@@ -61,7 +62,7 @@ class Imitation:
             if not len(keep):
                 break
             rigs = rigs.select(keep)
-            state = TaskState(select_loop(following.loop, keep), following.last_action[keep], following.n_steps[keep])
+            state = take_rigs(following, keep)
             self._learn(UPDATES_PER_STEP)
         self.n_generations += 1
 
