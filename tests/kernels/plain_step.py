@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from binocal.geometry import so3
 from binocal.solvers import robust
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, camera_poses, prior_precision
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, camera_poses, prior_precision
 
 
 def normal_equations(

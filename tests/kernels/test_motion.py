@@ -7,7 +7,7 @@ import pytest
 from test_step import make_problem
 
 from binocal.cameras import CAMERA_MODELS
-from binocal.solvers.bundle import camera_poses, linearize, retract, solve_step, straightened
+from binocal.solvers.board_views import camera_poses, linearize, retract, solve_step, straightened
 
 
 def predicted_px(problem, estimate):

@@ -9,7 +9,7 @@ import pytest
 from binocal.cameras import CAMERA_MODELS, camera_model
 from binocal.geometry import so3
 from binocal.kernels import compose_poses, step_poses
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,

@@ -11,7 +11,7 @@ from binocal.geometry import so3
 from binocal.rl import rig_batches as module
 from binocal.rl.rig_batches import RIG_SETS, distance_sigma, sample_rigs, sample_starts
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.bundle import residual_lengths2
+from binocal.solvers.board_views import residual_lengths2
 from binocal.solvers.steering import begin
 
 FEW_VIEWS = replace(RIG_SETS["standard"], n_views=8)

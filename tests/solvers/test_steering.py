@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_bundle import make_problem, truth_of
+from test_board_views import make_problem, truth_of
 
 from binocal.boards import parse_board
 from binocal.geometry import so3
 from binocal.simulation.noise import simulate_detections
 from binocal.simulation.rigs import table2_rig
 from binocal.simulation.scenes import StereoScene, sample_board_poses
-from binocal.solvers.bundle import CameraObservations, cost_under, retract, shared_information
+from binocal.solvers.board_views import CameraObservations, cost_under, retract, shared_information
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
 from binocal.solvers.least_squares import minimize
 from binocal.solvers.steered import MAX_LED_ITERATIONS, minimize_steered

@@ -27,7 +27,7 @@ from binocal.rl.policy import shipped_policy
 from binocal.rl.rig_batches import RIG_SETS, SIZE_WH, RigBatch, corrupt_corners
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.bundle import BundleEstimate, BundleProblem
+from binocal.solvers.board_views import BundleEstimate, BundleProblem
 from binocal.solvers.controllers import Controller
 from binocal.solvers.least_squares import Minimum, minimize
 from binocal.solvers.steered import minimize_steered

@@ -24,7 +24,7 @@ from binocal.cameras import camera_model
 from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,

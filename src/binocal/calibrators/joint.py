@@ -23,7 +23,7 @@ from binocal.initialization.verified_start import estimate_verified_start
 from binocal.result import RejectedView, StereoCalibration
 from binocal.shapes import Float
 from binocal.solvers import robust
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, residual_lengths2
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, residual_lengths2
 from binocal.solvers.covariance import inliers
 from binocal.solvers.least_squares import RESUMED_DAMPING, START_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact

@@ -18,7 +18,7 @@ from binocal.result import StereoCalibration
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
 from binocal.shapes import Float
-from binocal.solvers.bundle import BundleEstimate, BundleProblem
+from binocal.solvers.board_views import BundleEstimate, BundleProblem
 from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
 from binocal.solvers.steered import SteeredMinimum, minimize_steered
 

@@ -17,7 +17,7 @@ from binocal.findings import finding
 from binocal.geometry import SE3
 from binocal.result import Evidence, StereoCalibration
 from binocal.shapes import Float
-from binocal.solvers.bundle import BundleEstimate
+from binocal.solvers.board_views import BundleEstimate
 from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.poses import estimate_board_poses
 from binocal.solvers.whitening import CornerWeights, corner_weights

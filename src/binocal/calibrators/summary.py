@@ -25,7 +25,7 @@ from binocal.result import (
     ViewResult,
 )
 from binocal.shapes import Bool, Float, Int
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations, residual_lengths2
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations, residual_lengths2
 from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
 from binocal.solvers.least_squares import Minimum
 from binocal.solvers.whitening import CornerWeights

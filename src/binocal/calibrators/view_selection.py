@@ -24,7 +24,7 @@ from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.result import StereoCalibration
 from binocal.shapes import Float, Int
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,

@@ -2,7 +2,7 @@
 
 Both cameras look the same from here. A view's pose is perturbed from the left, ``T_camera_board <- exp(xi)
 T_camera_board``, so a corner moves by ``omega x X + tau`` in the camera's own frame; the solver turns that into steps
-of the rig and of the board poses with adjoints (:mod:`binocal.solvers.bundle`).
+of the rig and of the board poses with adjoints (:mod:`binocal.solvers.board_views`).
 
 The kernel holds no lock while it works and gives the same result for any number of threads. Its formulas are those of
 :mod:`binocal.cameras` and :mod:`binocal.solvers.robust`; tests/kernels states them plainly in NumPy and compares.

@@ -20,7 +20,7 @@ from binocal.rl.task import (
 )
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.bundle import BundleEstimate
+from binocal.solvers.board_views import BundleEstimate
 
 COMPACTION_SHARE = 0.8  # a batch is packed when fewer of its rigs than this still run
 

@@ -20,7 +20,7 @@ from binocal.rl.rig_batches import RIG_SETS, RigBatch, remaining_sigma, sample_r
 from binocal.rl.task import KERNEL, n_actions
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.bundle import BundleEstimate
+from binocal.solvers.board_views import BundleEstimate
 from binocal.solvers.controllers import Controller, Marquardt, Nielsen, Schedule
 from binocal.solvers.steering import advance, begin
 

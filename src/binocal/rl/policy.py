@@ -24,7 +24,7 @@ from binocal.rl.task import (
     steering_action,
 )
 from binocal.shapes import Float
-from binocal.solvers.bundle import BundleProblem
+from binocal.solvers.board_views import BundleProblem
 from binocal.solvers.controllers import Memory
 from binocal.solvers.steering import Action, LoopState
 

@@ -15,7 +15,7 @@ from binocal.cameras import camera_model
 from binocal.errors import TooFewViewsError
 from binocal.result import StereoCalibration
 from binocal.rl.rig_batches import RIG_SETS, RigBatch, RigDistribution, solved_rigs
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
 
 MIN_VIEWS_PER_RIG = 3
 MAX_VIEWS_PER_RIG = 12

@@ -17,7 +17,7 @@ from binocal.geometry import so3
 from binocal.shapes import Float
 from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses
 from binocal.solvers.arrays import SHARED, take_rigs
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,

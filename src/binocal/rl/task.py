@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
 from binocal.shapes import Bool, Float, Int
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, shared_information
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, shared_information
 from binocal.solvers.steering import OBSERVED, Action, LoopState, advance, begin, observe
 
 KERNEL = "hampel"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Float
-from binocal.solvers.bundle import BundleProblem
+from binocal.solvers.board_views import BundleProblem
 from binocal.solvers.steering import Action, LoopState
 
 Memory = dict[str, ndarray]

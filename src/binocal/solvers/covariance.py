@@ -11,7 +11,7 @@ from binocal.geometry import SE3, so3
 from binocal.result import Covariance
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEquations,
     BundleEstimate,
     BundleProblem,

@@ -14,7 +14,7 @@ from numpy import ndarray
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
 from binocal.solvers.arrays import choose_rigs
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEquations,
     BundleEstimate,
     BundleProblem,

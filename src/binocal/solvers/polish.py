@@ -14,7 +14,7 @@ import numpy as np
 
 from binocal.kernels import unweighted_columns
 from binocal.solvers import robust
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     BundleStep,

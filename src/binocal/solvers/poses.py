@@ -13,7 +13,7 @@ from binocal.geometry import SE3, so3
 from binocal.initialization.poses import estimate_poses
 from binocal.shapes import Bool, Float
 from binocal.solvers.arrays import choose_rigs
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,

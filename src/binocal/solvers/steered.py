@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from binocal.geometry import so3
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     noise_estimate_px,

@@ -18,7 +18,7 @@ from binocal.kernels import observe as _observe
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
 from binocal.solvers.arrays import choose_rigs
-from binocal.solvers.bundle import (
+from binocal.solvers.board_views import (
     BundleEquations,
     BundleEstimate,
     BundleProblem,

@@ -13,7 +13,7 @@ from binocal.geometry import SE3, so3
 from binocal.simulation.noise import simulate_detections
 from binocal.simulation.rigs import random_rig, table2_rig
 from binocal.simulation.scenes import StereoScene, fronto_parallel, sample_board_poses
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
 from binocal.solvers.covariance import cramer_rao_bound, residual_noise_px, shared_covariance, shared_names
 from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.polish import polish_exact
