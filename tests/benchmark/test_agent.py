@@ -50,6 +50,6 @@ def test_packing_the_batch_changes_no_rig():
 
 
 def test_sets_are_held_out_by_name_and_seed():
-    starts = [held_out_rigs(name, 2, seed)[1].R_right_left for name in ("standard", "weak") for seed in (0, 1)]
+    starts = [held_out_rigs(name, 2, seed)[1].T_right_left.R for name in ("standard", "weak") for seed in (0, 1)]
     assert all(not np.allclose(a, b) for i, a in enumerate(starts) for b in starts[i + 1 :])
     assert set(RIG_SETS) == {"standard", "weak", "stress", "good start", "unseen"}

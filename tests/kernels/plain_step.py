@@ -15,14 +15,14 @@ def normal_equations(
     problem: BundleProblem, estimate: BundleEstimate, scale_px: float, kernel: robust.Kernel
 ) -> tuple[ndarray, ndarray]:
     """H and g of one rig: shared unknowns first, then six for each view."""
-    n_shared, n_views = problem.n_shared, len(estimate.t_left_board)
+    n_shared, n_views = problem.n_shared, len(estimate.T_left_board.t)
     n_all = n_shared + 6 * n_views
     H, g = np.zeros((n_all, n_all)), np.zeros(n_all)
     column = 0
-    for index, (camera, (R, t)) in enumerate(zip(problem.cameras, camera_poses(problem, estimate), strict=True)):
+    for index, (camera, T) in enumerate(zip(problem.cameras, camera_poses(problem, estimate), strict=True)):
         parameters = estimate.parameters[index]
         J, _ = plain_accumulate.unweighted_columns(
-            camera.model, parameters, R, t, problem.object_points, camera.pixels, camera.is_seen
+            camera.model, parameters, T.R, T.t, problem.object_points, camera.pixels, camera.is_seen
         )
         weight = robust.weights(np.sum(J[:, -1] ** 2, axis=1), np.asarray(scale_px), kernel)
         p, n_free = camera.model.n_parameters, int(camera.is_free.sum())
@@ -33,7 +33,7 @@ def normal_equations(
             if index == 1 and problem.is_rig_free:
                 A[..., n_shared - 6 : n_shared] = pose
             if index == 1:
-                R_rl, t_rl = estimate.R_right_left, estimate.t_right_left
+                R_rl, t_rl = estimate.T_right_left.R, estimate.T_right_left.t
                 pose = pose @ np.block([[R_rl, np.zeros((3, 3))], [so3.hat(t_rl) @ R_rl, R_rl]])
             A[..., n_shared + 6 * view : n_shared + 6 * view + 6] = pose
             H += np.einsum("cna,n,cnb->ab", A, weight[view], A)

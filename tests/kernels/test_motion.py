@@ -13,10 +13,10 @@ from binocal.solvers.board_views import camera_poses, linearize, retract, solve_
 def predicted_px(problem, estimate):
     """Corners as the estimate predicts them, (views, 2, n) for each camera."""
     out = []
-    for camera, parameters, (R, t) in zip(
+    for camera, parameters, T in zip(
         problem.cameras, estimate.parameters, camera_poses(problem, estimate), strict=True
     ):
-        X = R @ problem.object_points + t[..., None]
+        X = T.R @ problem.object_points + T.t[..., None]
         u, v = camera.model.project(parameters, X[:, 0], X[:, 1], X[:, 2])
         out.append(np.stack([u, v], axis=1))
     return out

@@ -27,7 +27,7 @@ def seen():
     r2 = tuple(e.r2_px2 for e in equations.cameras)
     is_seen = tuple(c.is_seen for c in problem.cameras)
     mad = noise_estimate_px(problem, r2)
-    row = observe(r2, is_seen, mad, step, estimate.t_right_left, estimate.t_left_board, last_iteration(mad, step))
+    row = observe(r2, is_seen, mad, step, estimate.T_right_left.t, estimate.T_left_board.t, last_iteration(mad, step))
     return dict(zip(OBSERVED, row, strict=True)), r2, is_seen, float(mad), step, estimate
 
 
@@ -68,7 +68,7 @@ def test_the_step_is_told_by_its_length_and_parts(seen):
     assert row["rotation's share of the rig's decrement"] == pytest.approx(turn / (turn + shift))
     assert row["the rig's share of the whole decrement"] == pytest.approx((turn + shift) / (2 * step.predicted_px2))
     assert row["log10 rotation step of the rig, rad"] == pytest.approx(np.log10(np.linalg.norm(x[:3])))
-    baseline = np.linalg.norm(estimate.t_right_left)
+    baseline = np.linalg.norm(estimate.T_right_left.t)
     assert row["log10 translation step of the rig over the baseline"] == pytest.approx(
         np.log10(np.linalg.norm(x[3:]) / baseline)
     )
@@ -85,8 +85,8 @@ def test_pixels_of_another_size_look_the_same(seen):
         is_seen,
         np.asarray(2 * mad),
         finer,
-        estimate.t_right_left,
-        estimate.t_left_board,
+        estimate.T_right_left.t,
+        estimate.T_left_board.t,
         last_iteration(np.asarray(2 * mad), finer),
     )
     assert np.allclose(list(row.values()), other, atol=1e-9)
@@ -106,5 +106,5 @@ def test_what_is_not_a_number_is_seen_as_nothing(seen):
     _, r2, is_seen, mad, step, estimate = seen
     lost = replace(step, shared=step.shared * np.nan, predicted_px2=np.asarray(np.nan), least_pivot=np.asarray(np.nan))
     mad = np.asarray(mad)
-    row = observe(r2, is_seen, mad, lost, estimate.t_right_left, estimate.t_left_board, last_iteration(mad, lost))
+    row = observe(r2, is_seen, mad, lost, estimate.T_right_left.t, estimate.T_left_board.t, last_iteration(mad, lost))
     assert np.isfinite(row).all()

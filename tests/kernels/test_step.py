@@ -7,8 +7,9 @@ import plain_step
 import pytest
 
 from binocal.cameras import CAMERA_MODELS, camera_model
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
 from binocal.kernels import compose_poses, step_poses
+from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
@@ -34,8 +35,8 @@ def make_problem(model, *, skew=False, intrinsics=True, is_rig_free=True, n_view
     problem = BundleProblem(points, tuple(cameras[:n_cameras]), is_rig_free)
     T = rig.T_right_left
     parameters = (rig.left.parameters * 1.001, rig.right.parameters * 0.999)[:n_cameras]
-    rig_pose = (T.R, T.t + 1e-4) if n_cameras == 2 else (None, None)
-    return problem, BundleEstimate(parameters, poses.R, poses.t + 1e-4, *rig_pose)
+    T_right_left = SE3(T.R, T.t + 1e-4) if n_cameras == 2 else None
+    return problem, BundleEstimate(parameters, SE3(poses.R, poses.t + 1e-4), T_right_left)
 
 
 CASES = [
@@ -52,7 +53,7 @@ CASES = [
 def test_the_step_equals_the_dense_one(case, damping):
     # measured: 1e-8 of the step's length in sigmas (brown8, condition 1e10), 1e-12 for the other models
     problem, estimate = make_problem(**case)
-    n_views = len(estimate.t_left_board)
+    n_views = len(estimate.T_left_board.t)
     seen = [i for i in range(n_views) if any(c.is_seen[i].any() for c in problem.cameras)]
     step = solve_step(problem, estimate, linearize(problem, estimate, np.asarray(0.5), "cauchy"), np.asarray(damping))
     H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
@@ -83,10 +84,7 @@ def test_one_degenerate_rig_of_a_batch_spoils_no_other():
         for c in problem.cameras
     ]
     both = replace(problem, cameras=tuple(cameras))
-    pair = [np.stack([a, a]) for a in (estimate.R_left_board, estimate.t_left_board, estimate.R_right_left)]
-    batch = BundleEstimate(
-        tuple(np.stack([p, p]) for p in estimate.parameters), *pair, np.stack([estimate.t_right_left] * 2)
-    )
+    batch = stack_rigs([estimate, estimate])
     step = solve_step(both, batch, linearize(both, batch, np.ones(2), "squared"), np.zeros(2))
     single = solve_step(problem, estimate, linearize(problem, estimate, np.ones(()), "squared"), np.zeros(()))
     assert np.isnan(step.predicted_px2[1]) and np.isnan(step.shared[1]).all()

@@ -107,11 +107,11 @@ def test_a_step_alters_no_state_and_no_observation_given_out():
     seen, _ = env.reset(seed=0)
     before = env._batch
     kept = copy.deepcopy(
-        (seen, before.state.loop.estimate.R_right_left, before.sigma, before.rigs.problem.cameras[0].pixels)
+        (seen, before.state.loop.estimate.T_right_left.R, before.sigma, before.rigs.problem.cameras[0].pixels)
     )
     env.step(np.full(6, 0.5, dtype=np.float32))
     assert env._batch is not before
-    now = (seen, before.state.loop.estimate.R_right_left, before.sigma, before.rigs.problem.cameras[0].pixels)
+    now = (seen, before.state.loop.estimate.T_right_left.R, before.sigma, before.rigs.problem.cameras[0].pixels)
     for a, b in zip(now, kept, strict=True):
         np.testing.assert_array_equal(a, b)
 

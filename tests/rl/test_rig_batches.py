@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
 from binocal.rl import rig_batches as module
 from binocal.rl.rig_batches import RIG_SETS, distance_sigma, sample_rigs, sample_starts
 from binocal.solvers.arrays import take_rigs
@@ -32,8 +32,10 @@ def test_a_step_of_one_sigma_is_at_distance_one(rigs):
         turn = so3.exp(xi[:, :3])
         moved = replace(
             rigs.optimum,
-            R_right_left=turn @ rigs.optimum.R_right_left,
-            t_right_left=(turn @ rigs.optimum.t_right_left[..., None])[..., 0] + xi[:, 3:],
+            T_right_left=SE3(
+                turn @ rigs.optimum.T_right_left.R,
+                (turn @ rigs.optimum.T_right_left.t[..., None])[..., 0] + xi[:, 3:],
+            ),
         )
         np.testing.assert_allclose(distance_sigma(rigs, moved), 1.0, rtol=2e-3)
 
@@ -60,7 +62,7 @@ def test_same_seed_same_cases():
     one, same, other = (sample_rigs(FEW_VIEWS, 2, np.random.default_rng(seed)) for seed in (3, 3, 4))
     for a, b in zip(one.problem.cameras, same.problem.cameras, strict=True):
         np.testing.assert_array_equal(a.pixels, b.pixels)
-    np.testing.assert_array_equal(one.optimum.R_right_left, same.optimum.R_right_left)
+    np.testing.assert_array_equal(one.optimum.T_right_left.R, same.optimum.T_right_left.R)
     assert not np.array_equal(one.noise_px, other.noise_px)
 
 
@@ -69,10 +71,10 @@ def test_starts_are_as_far_off_as_stated_and_possible(name):
     rigs = sample_rigs(RIG_SETS[name], 3, np.random.default_rng(5))
     for seed in range(10):
         start = sample_starts(rigs, np.random.default_rng(seed))
-        relative = start.R_right_left @ rigs.optimum.R_right_left.swapaxes(-1, -2)
+        relative = start.T_right_left.R @ rigs.optimum.T_right_left.R.swapaxes(-1, -2)
         angle_deg = np.degrees(np.linalg.norm(so3.log(relative), axis=1))
-        baseline_m = np.linalg.norm(rigs.optimum.t_right_left, axis=1)
-        share = np.linalg.norm(start.t_right_left - rigs.optimum.t_right_left, axis=1) / baseline_m
+        baseline_m = np.linalg.norm(rigs.optimum.T_right_left.t, axis=1)
+        share = np.linalg.norm(start.T_right_left.t - rigs.optimum.T_right_left.t, axis=1) / baseline_m
         for got, (low, high) in (
             (angle_deg, rigs.options.rotation_deg),
             (share, rigs.options.translation_share),

@@ -149,7 +149,9 @@ def test_a_rejected_candidate_leaves_the_estimate(rigs, start, kind):
     for seed in range(6):
         after = transition(rigs.problem, state, random_action(rigs, kind, seed), kind)
         stays = ~after.loop.is_kept
-        np.testing.assert_array_equal(after.loop.estimate.R_right_left[stays], state.loop.estimate.R_right_left[stays])
+        np.testing.assert_array_equal(
+            after.loop.estimate.T_right_left.R[stays], state.loop.estimate.T_right_left.R[stays]
+        )
         n_rejected, state = n_rejected + stays.sum(), after
     assert n_rejected > 0
 

@@ -3,6 +3,8 @@
 Bad starts do not hang.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from binocal.geometry import SE3, so3
 from binocal.simulation.noise import simulate_detections
 from binocal.simulation.rigs import random_rig, table2_rig
 from binocal.simulation.scenes import StereoScene, fronto_parallel, sample_board_poses
+from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
 from binocal.solvers.covariance import cramer_rao_bound, residual_noise_px, shared_covariance, shared_names
 from binocal.solvers.least_squares import LoopOptions, minimize
@@ -32,14 +35,7 @@ def make_problem(rig, detections, skew=False):
 
 
 def truth_of(scene):
-    rig = scene.rig
-    return BundleEstimate(
-        (rig.left.parameters.copy(), rig.right.parameters.copy()),
-        scene.T_left_board.R,
-        scene.T_left_board.t,
-        rig.T_right_left.R,
-        rig.T_right_left.t,
-    )
+    return BundleEstimate.of_rig(scene.rig, scene.T_left_board)
 
 
 def spoil(estimate, rng):
@@ -51,13 +47,17 @@ def spoil(estimate, rng):
         p[2:4] += 10 * rng.standard_normal(2)
         p[5:] = 0
         parameters.append(p)
-    views = estimate.t_left_board.shape
+    views = estimate.T_left_board.t.shape
     return BundleEstimate(
         tuple(parameters),
-        so3.exp(np.radians(rng.standard_normal(views))) @ estimate.R_left_board,
-        estimate.t_left_board + 0.003 * rng.standard_normal(views),
-        so3.exp(np.radians(rng.standard_normal(3))) @ estimate.R_right_left,
-        estimate.t_right_left + 0.003 * rng.standard_normal(3),
+        SE3(
+            so3.exp(np.radians(rng.standard_normal(views))) @ estimate.T_left_board.R,
+            estimate.T_left_board.t + 0.003 * rng.standard_normal(views),
+        ),
+        SE3(
+            so3.exp(np.radians(rng.standard_normal(3))) @ estimate.T_right_left.R,
+            estimate.T_right_left.t + 0.003 * rng.standard_normal(3),
+        ),
     )
 
 
@@ -71,8 +71,8 @@ def errors_of(estimate, rig, problem):
         estimate.parameters[i][c.is_free] - camera.parameters[c.is_free]
         for i, (c, camera) in enumerate(zip(problem.cameras, (rig.left, rig.right), strict=True))
     ]
-    rotation = so3.log(estimate.R_right_left @ rig.T_right_left.R.T)
-    return np.concatenate([*parts, rotation, estimate.t_right_left - rig.T_right_left.t])
+    rotation = so3.log(estimate.T_right_left.R @ rig.T_right_left.R.T)
+    return np.concatenate([*parts, rotation, estimate.T_right_left.t - rig.T_right_left.t])
 
 
 @pytest.mark.parametrize("skew", [False, True])
@@ -158,26 +158,10 @@ def test_a_batch_is_solved_as_its_members_are():
         problems.append(make_problem(rig, simulate_detections(scene, rng, noise_px=0.2, missing_share=0.1)))
         starts.append(spoil(truth_of(scene), rng))
         singles.append(minimize(problems[-1], starts[-1]))
-    cameras = tuple(
-        CameraObservations(
-            problems[0].cameras[c].model,
-            np.stack([p.cameras[c].pixels for p in problems]),
-            np.stack([p.cameras[c].is_seen for p in problems]),
-            problems[0].cameras[c].is_free,
-        )
-        for c in range(2)
-    )
-    start = BundleEstimate(
-        tuple(np.stack([s.parameters[c] for s in starts]) for c in range(2)),
-        *(
-            np.stack([getattr(s, name) for s in starts])
-            for name in ("R_left_board", "t_left_board", "R_right_left", "t_right_left")
-        ),
-    )
-    batch = minimize(BundleProblem(problems[0].object_points, cameras), start)
+    batch = minimize(stack_rigs(problems), stack_rigs(starts))
     assert batch.is_converged.all()
     for i, single in enumerate(singles):
-        assert np.allclose(batch.estimate.t_right_left[i], single.estimate.t_right_left, atol=1e-7)
+        assert np.allclose(batch.estimate.T_right_left.t[i], single.estimate.T_right_left.t, atol=1e-7)
         assert np.allclose(batch.estimate.parameters[0][i], single.estimate.parameters[0], rtol=1e-5, atol=1e-5)
 
 
@@ -197,7 +181,5 @@ def test_a_hopeless_start_ends_without_a_claim():
     scene = StereoScene(rig, BOARD, sample_board_poses(rig, BOARD, 4, rng))
     problem = make_problem(rig, simulate_detections(scene, rng, noise_px=0.2))
     truth = truth_of(scene)
-    behind = BundleEstimate(
-        truth.parameters, truth.R_left_board, truth.t_left_board * [1, 1, -1], truth.R_right_left, truth.t_right_left
-    )
+    behind = replace(truth, T_left_board=SE3(truth.T_left_board.R, truth.T_left_board.t * [1, 1, -1]))
     assert not minimize(problem, behind, LoopOptions(max_iterations=5)).is_converged

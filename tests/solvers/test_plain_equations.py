@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations, linearize, residual_lengths2
 
 from binocal.cameras import CAMERA_MODELS, CameraModel
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations, linearize, residual_lengths2
+from binocal.geometry import SE3
 from rigs import make_detections, make_poses, make_rig
 
 
@@ -29,18 +30,9 @@ def problems(request):
         for px, w in ((left_px, whitening), (corners.right_px, None))
     ]
     added = replace(CAMERA_MODELS[model], name="not compiled")
-    arrays = ([c.parameters for c in (rig.left, rig.right)], poses.R, poses.t, rig.T_right_left.R, rig.T_right_left.t)
     if is_batch:
         cameras = [c.each_view_alone() for c in cameras]
-        parameters, R, t, R_rig, t_rig = arrays
-        arrays = (
-            [np.broadcast_to(p, (4, len(p))) for p in parameters],
-            R[:, None],
-            t[:, None],
-            np.broadcast_to(R_rig, (4, 3, 3)),
-            np.broadcast_to(t_rig, (4, 3)),
-        )
-    estimate = BundleEstimate(tuple(arrays[0]), *arrays[1:])
+    estimate = BundleEstimate.of_rig(rig, poses[:, None] if is_batch else poses)
     points = np.ascontiguousarray(corners.object_points_m.T)
     compiled = BundleProblem(points, tuple(cameras))
     plain = BundleProblem(points, tuple(replace(c, model=added) for c in cameras))
@@ -63,7 +55,8 @@ def test_equations(problems, kernel):
 
 def test_points_behind_the_camera_are_impossible(problems):
     compiled, plain, estimate, scale_px = problems
-    behind = replace(estimate, t_left_board=-estimate.t_left_board)
+    T = estimate.T_left_board
+    behind = replace(estimate, T_left_board=SE3(T.R, -T.t))
     for a, b in zip(*(linearize(p, behind, scale_px, "squared").cameras for p in (compiled, plain)), strict=True):
         assert np.array_equal(np.isinf(a.cost_px2), np.isinf(b.cost_px2))
         assert np.isinf(a.cost_px2).any() != compiled.cameras[0].model.sees_behind

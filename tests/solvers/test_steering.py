@@ -7,10 +7,11 @@ import pytest
 from test_board_views import make_problem, truth_of
 
 from binocal.boards import parse_board
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
 from binocal.simulation.noise import simulate_detections
 from binocal.simulation.rigs import table2_rig
 from binocal.simulation.scenes import StereoScene, sample_board_poses
+from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import CameraObservations, cost_under, retract, shared_information
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
 from binocal.solvers.least_squares import minimize
@@ -37,12 +38,13 @@ def make_case(seed=0, *, outlier_share=0.0, intrinsics=False, turn_deg=10.0):
     truth = truth_of(scene)
     axis = rng.standard_normal(3)
     turn = so3.exp(np.radians(turn_deg) * axis / np.linalg.norm(axis))
-    start = replace(truth, R_right_left=turn @ truth.R_right_left, t_right_left=truth.t_right_left * 1.1)
+    T = truth.T_right_left
+    start = replace(truth, T_right_left=SE3(turn @ T.R, T.t * 1.1))
     return problem, start
 
 
 def angle_deg(a, b):
-    return np.degrees(so3.angle_rad(a.R_right_left @ b.R_right_left.T))
+    return np.degrees(so3.angle_rad(a.T_right_left.R @ b.T_right_left.R.T))
 
 
 def test_zero_action_is_robust_gauss_newton():
@@ -50,7 +52,7 @@ def test_zero_action_is_robust_gauss_newton():
     state = begin(problem, start, "hampel")
     after = advance(problem, state, PLAIN, "hampel")
     by_hand = retract(problem, start, state.newton)
-    assert after.is_kept and np.array_equal(after.estimate.R_right_left, by_hand.R_right_left)
+    assert after.is_kept and np.array_equal(after.estimate.T_right_left.R, by_hand.T_right_left.R)
 
 
 def test_a_corrected_step_comes_nearer_from_far():
@@ -93,16 +95,16 @@ def test_a_step_behind_the_camera_is_rejected_and_changes_nothing():
     away = np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, -5.0])
     after = advance(problem, state, replace(PLAIN, increment=away), "hampel")
     assert not after.is_kept and after.gain == -1
-    assert np.array_equal(after.estimate.R_right_left, start.R_right_left)
+    assert np.array_equal(after.estimate.T_right_left.R, start.T_right_left.R)
     assert after.scale_px == state.scale_px and after.mad_px == state.mad_px
 
 
 def test_the_given_state_is_not_altered():
     problem, start = make_case()
     state = begin(problem, start, "hampel")
-    before = [state.estimate.R_left_board.copy(), state.equations.cameras[0].gram.copy(), state.newton.views.copy()]
+    before = [state.estimate.T_left_board.R.copy(), state.equations.cameras[0].gram.copy(), state.newton.views.copy()]
     advance(problem, state, CORRECTED, "hampel")
-    after = [state.estimate.R_left_board, state.equations.cameras[0].gram, state.newton.views]
+    after = [state.estimate.T_left_board.R, state.equations.cameras[0].gram, state.newton.views]
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
 
 
@@ -123,7 +125,7 @@ def test_every_controller_ends_at_the_classical_minimum(controller, intrinsics):
     assert classical.is_converged and steered.minimum.is_converged
     # the rotation's sigma is 4e-2 degrees with free intrinsics, 1e-3 with held ones; the stop rule leaves 0.01 of it
     assert angle_deg(steered.minimum.estimate, classical.estimate) < (4e-4 if intrinsics else 1e-5)
-    difference = steered.minimum.estimate.t_right_left - classical.estimate.t_right_left
+    difference = steered.minimum.estimate.T_right_left.t - classical.estimate.T_right_left.t
     assert np.abs(difference).max() < 1e-6
 
 
@@ -160,7 +162,7 @@ def test_the_way_that_was_left_is_measured_in_sigmas():
         action = Action(np.asarray(iteration.damping), np.asarray(iteration.scale_factor))
         state = advance(problem, state, action, "hampel")
     sigma = np.sqrt(np.diag(np.linalg.inv(shared_information(problem, goal, steered.minimum.equations)))[:3])
-    turn = so3.log(state.estimate.R_right_left @ goal.R_right_left.T)
+    turn = so3.log(state.estimate.T_right_left.R @ goal.T_right_left.R.T)
     # six unknowns together are at least as far as the farthest of them alone
     assert steered.remaining_sigma >= np.max(np.abs(turn) / sigma) / steered.minimum.scale_px - 1e-6
     assert minimize_steered(problem, start, Lost(np.nan)).remaining_sigma == 0
@@ -168,25 +170,10 @@ def test_the_way_that_was_left_is_measured_in_sigmas():
 
 def test_a_batch_goes_the_way_of_its_single_rigs():
     singles = [make_case(seed) for seed in (5, 6)]
-    stacked = replace(
-        singles[0][0],
-        cameras=tuple(
-            replace(a, pixels=np.stack([a.pixels, b.pixels]), is_seen=np.stack([a.is_seen, b.is_seen]))
-            for a, b in zip(singles[0][0].cameras, singles[1][0].cameras, strict=True)
-        ),
-    )
-    a, b = (start for _, start in singles)
-    both = replace(
-        a,
-        parameters=tuple(np.stack(pair) for pair in zip(a.parameters, b.parameters, strict=True)),
-        **{
-            name: np.stack([getattr(a, name), getattr(b, name)])
-            for name in ("R_left_board", "t_left_board", "R_right_left", "t_right_left")
-        },
-    )
+    stacked, both = (stack_rigs(parts) for parts in zip(*singles, strict=True))
     ones = np.ones(2)
     batch = advance(stacked, begin(stacked, both, "hampel"), Action(0 * ones, ones, bend=ones), "hampel")
     for index, (problem, start) in enumerate(singles):
         single = advance(problem, begin(problem, start, "hampel"), CORRECTED, "hampel")
-        assert np.allclose(batch.estimate.R_right_left[index], single.estimate.R_right_left, atol=1e-12)
+        assert np.allclose(batch.estimate.T_right_left.R[index], single.estimate.T_right_left.R, atol=1e-12)
         assert batch.mad_px[index] == pytest.approx(single.mad_px, rel=1e-12)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -22,8 +23,9 @@ from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import camera_model
 from binocal.evidence import Detections
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
+from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
@@ -194,14 +196,9 @@ def _batch(seed: int, *, intrinsics: bool) -> tuple[BundleProblem, BundleEstimat
     problem = BundleProblem(np.ascontiguousarray(board.object_points_m.T), cameras)
     truth = rig.T_right_left
     turn = so3.exp(np.radians(3) * rng.standard_normal((BATCH_RIGS, 3)) / np.sqrt(3))
-    start = BundleEstimate(
-        tuple(np.tile(camera.parameters, (BATCH_RIGS, 1)) for camera in (rig.left, rig.right)),
-        np.stack([T.R for T in poses]),
-        np.stack([T.t for T in poses]),
-        turn @ truth.R,
-        truth.t + 0.05 * rig.baseline_m * rng.standard_normal((BATCH_RIGS, 3)) / np.sqrt(3),
-    )
-    return problem, start
+    shift = 0.05 * rig.baseline_m * rng.standard_normal((BATCH_RIGS, 3)) / np.sqrt(3)
+    start = BundleEstimate.of_rig(rig, stack_rigs(poses))
+    return problem, replace(start, T_right_left=SE3(turn @ truth.R, truth.t + shift))
 
 
 def _format(rows: list[dict[str, Any]], batches: list[dict[str, Any]], machine: str) -> str:

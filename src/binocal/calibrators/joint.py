@@ -6,6 +6,7 @@ Closed-form start, view diagnosis, joint robust solve, acceptance. Calibrators d
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
@@ -18,6 +19,7 @@ from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
 from binocal.findings import Finding
+from binocal.geometry import SE3
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
 from binocal.initialization.verified_start import estimate_verified_start
 from binocal.result import RejectedView, StereoCalibration
@@ -83,7 +85,7 @@ def calibrate_jointly(
             break
         keep = np.array([i not in bad for i in range(len(used))])
         rejected += tuple(RejectedView(views.names[i], found.text, found.code) for i, found in bad.items())
-        start = _take_views(minimum.estimate, keep)
+        start = replace(minimum.estimate, T_left_board=minimum.estimate.T_left_board[keep])
         used = used[keep]
 
     calibration = summarize(
@@ -125,7 +127,9 @@ def _calibrate_clean(
     if start is None:
         return None
     estimate = BundleEstimate(
-        start.parameters, start.R_left_board, start.t_left_board, start.R_right_left, start.t_right_left
+        start.parameters,
+        SE3.unchecked(start.R_left_board, start.t_left_board),
+        SE3.unchecked(start.R_right_left, start.t_right_left),
     )
     problem, minimum, misfit_px, n_iterations = solve_with_misfit(
         detections, request, estimate, partial(_solve_clean, minimizer)
@@ -167,10 +171,8 @@ def _contradicting(views: Detections, problem: BundleProblem, minimum: Minimum) 
 def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
     return BundleEstimate(
         (diagnosis.left.parameters, diagnosis.right.parameters),
-        diagnosis.R_left_board[used],
-        diagnosis.t_left_board[used],
-        diagnosis.T_right_left.R,
-        diagnosis.T_right_left.t,
+        SE3(diagnosis.R_left_board[used], diagnosis.t_left_board[used]),
+        diagnosis.T_right_left,
     )
 
 
@@ -238,13 +240,3 @@ def _is_better(problem: BundleProblem, a: Minimum, b: Minimum) -> bool:
     scale = np.minimum(a.scale_px, b.scale_px)
     costs = [sum(float(robust.costs(e.r2_px2, scale, "hampel").sum()) for e in m.equations.cameras) for m in (a, b)]
     return costs[0] < costs[1]
-
-
-def _take_views(estimate: BundleEstimate, keep: np.ndarray) -> BundleEstimate:
-    return BundleEstimate(
-        estimate.parameters,
-        estimate.R_left_board[keep],
-        estimate.t_left_board[keep],
-        estimate.R_right_left,
-        estimate.t_right_left,
-    )

@@ -163,13 +163,7 @@ def _hold_out(
         if np.sum(~is_test) < MIN_VIEWS:
             continue
         views, T = detections.select(~is_test), T_left_board[~is_test]
-        start = BundleEstimate(
-            (full.rig.left.parameters, full.rig.right.parameters),
-            T.R,
-            T.t,
-            full.rig.T_right_left.R,
-            full.rig.T_right_left.t,
-        )
+        start = BundleEstimate.of_rig(full.rig, T)
         problem = joint_problem(views, request, corner_weights(views, evidence.misfit_px))
         minimum = minimize(problem, start, FOLD_OPTIONS)
         if not minimum.is_converged:

@@ -57,7 +57,7 @@ def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> Ster
     return StereoRig(
         Camera(model, detections.left_size_wh, estimate.parameters[0]),
         Camera(model, detections.right_size_wh, estimate.parameters[1]),
-        SE3(estimate.R_right_left, estimate.t_right_left),
+        SE3(estimate.T_right_left.R, estimate.T_right_left.t),
         detections.is_metric,
     )
 
@@ -100,7 +100,7 @@ def summarize(
         findings=findings,
         n_iterations=n_iterations,
         provenance={"corner_weights": {"covariances": problem.is_whitened, "misfit_px": misfit_px}},
-        evidence=Evidence(detections, SE3(minimum.estimate.R_left_board, minimum.estimate.t_left_board), misfit_px),
+        evidence=Evidence(detections, SE3(minimum.estimate.T_left_board.R, minimum.estimate.T_left_board.t), misfit_px),
     )
 
 

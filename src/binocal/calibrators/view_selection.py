@@ -254,13 +254,7 @@ def _informations(
         rms_px[seen] = np.sqrt(np.nanmean(r2[seen], axis=1))
         problem = _problem_per_view(chunk, chunk_weights, rig, request.skew)
         n = chunk.n_views
-        estimate = BundleEstimate(
-            tuple(np.broadcast_to(c.parameters, (n, len(c.parameters))) for c in (rig.left, rig.right)),
-            poses.T_left_board.R[:, None],
-            poses.T_left_board.t[:, None],
-            np.broadcast_to(rig.T_right_left.R, (n, 3, 3)),
-            np.broadcast_to(rig.T_right_left.t, (n, 3)),
-        )
+        estimate = BundleEstimate.of_rig(rig, poses.T_left_board[:, None])
         blank = np.ones(n)
         H = shared_information(problem, estimate, linearize(problem, estimate, blank, "squared"))
         prior = np.concatenate([prior_precision(c)[c.is_free] for c in problem.cameras] + [np.zeros(6)])

@@ -35,7 +35,7 @@ class SE3(ArrayValue):
     def unchecked(cls, R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> SE3:
         """A transform of float arrays that are known to be sound: neither copied nor checked nor set read-only.
 
-        For inner loops: 1 us instead of 40. The arrays must not be changed afterwards.
+        For inner loops: 0.3 us instead of 12 and more. The arrays must not be changed afterwards.
         """
         transform = object.__new__(cls)
         object.__setattr__(transform, "R", R)

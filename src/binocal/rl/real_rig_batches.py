@@ -41,13 +41,7 @@ def rigs_from_calibration(calibration: StereoCalibration, n_rigs: int, rng: np.r
         for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px))
     )
     problem = BundleProblem(np.ascontiguousarray(detections.object_points_m.T), cameras)
-    known = BundleEstimate(
-        tuple(np.tile(camera.parameters, (n_rigs, 1)) for camera in (rig.left, rig.right)),
-        poses.R[pick],
-        poses.t[pick],
-        np.tile(rig.T_right_left.R, (n_rigs, 1, 1)),
-        np.tile(rig.T_right_left.t, (n_rigs, 1)),
-    )
+    known = BundleEstimate.of_rig(rig, poses[pick])
     options: RigDistribution = replace(RIG_SETS["standard"], n_views=n_views)
     return solved_rigs(options, problem, known, np.full(n_rigs, calibration.noise_px), has_truth=False)
 

@@ -13,10 +13,10 @@ from numpy import ndarray
 
 from binocal.boards import parse_board
 from binocal.cameras import camera_model
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
 from binocal.shapes import Float
 from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses
-from binocal.solvers.arrays import SHARED, take_rigs
+from binocal.solvers.arrays import SHARED, stack_rigs, take_rigs
 from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
@@ -92,7 +92,7 @@ class RigBatch:
     options: RigDistribution = field(metadata=SHARED)
     problem: BundleProblem
     optimum: BundleEstimate
-    left_poses: tuple[Float[ndarray, "rigs views 3 3"], Float[ndarray, "rigs views 3"]]
+    left_poses: SE3
     whitening: Float[ndarray, "rigs 6 6"]
     noise_px: Float[ndarray, "rigs"]
     lowest: LowestCost | None = None
@@ -112,7 +112,7 @@ def sample_rigs(options: RigDistribution, n_rigs: int, rng: np.random.Generator)
     """Rigs of a distribution, each solved to its robust optimum from the truth."""
     board = parse_board(options.board)
     points = np.ascontiguousarray(board.object_points_m.T)
-    rigs, R, t, pixels = [], [], [], ([], [])
+    rigs, poses, pixels = [], [], ([], [])
     for _ in range(n_rigs):
         rig = random_rig(
             rng,
@@ -123,8 +123,7 @@ def sample_rigs(options: RigDistribution, n_rigs: int, rng: np.random.Generator)
         )
         scene = StereoScene(rig, board, sample_board_poses(rig, board, options.n_views, rng, options.poses))
         rigs.append(rig)
-        R.append(scene.T_left_board.R)
-        t.append(scene.T_left_board.t)
+        poses.append(scene.T_left_board)
         for side, px in zip(pixels, scene.project(), strict=True):
             side.append(px)
     noise_px = rng.uniform(*options.noise_px, n_rigs)
@@ -140,10 +139,8 @@ def sample_rigs(options: RigDistribution, n_rigs: int, rng: np.random.Generator)
     )
     truth = BundleEstimate(
         tuple(np.stack([getattr(rig, side).parameters for rig in rigs]) for side in ("left", "right")),
-        np.stack(R),
-        np.stack(t),
-        np.stack([rig.T_right_left.R for rig in rigs]),
-        np.stack([rig.T_right_left.t for rig in rigs]),
+        stack_rigs(poses),
+        stack_rigs([rig.T_right_left for rig in rigs]),
     )
     return solved_rigs(options, problem, truth, noise_px)
 
@@ -160,14 +157,12 @@ def solved_rigs(
     minimum = minimize(problem, known, LoopOptions(tolerance_sigma=1e-3))
     optimum = minimum.estimate
     left = replace(problem, cameras=problem.cameras[:1], is_rig_free=False)
-    alone = minimize(
-        left, BundleEstimate(known.parameters[:1], known.R_left_board, known.t_left_board), LoopOptions()
-    ).estimate
+    alone = minimize(left, BundleEstimate(known.parameters[:1], known.T_left_board), LoopOptions()).estimate
     information = shared_information(problem, optimum, linearize(problem, optimum, noise_px, "hampel"))
     # the upper triangular factor: |whitening @ xi|² = xi' information xi / noise²
     whitening = np.linalg.cholesky(information).swapaxes(-1, -2) / noise_px[:, None, None]
     lowest = None if has_truth else LowestCost(minimum.equations.cost_px2, minimum.equations.scale_px)
-    return RigBatch(options, problem, optimum, (alone.R_left_board, alone.t_left_board), whitening, noise_px, lowest)
+    return RigBatch(options, problem, optimum, alone.T_left_board, whitening, noise_px, lowest)
 
 
 def corrupt_corners(
@@ -194,34 +189,28 @@ def sample_starts(rigs: RigBatch, rng: np.random.Generator) -> BundleEstimate:
     Starts that put a corner behind the right camera are drawn again; NaN where that never ended.
     """
     options, n = rigs.options, rigs.n_rigs
-    R, t = rigs.optimum.R_right_left.copy(), rigs.optimum.t_right_left.copy()
+    R, t = rigs.optimum.T_right_left.R.copy(), rigs.optimum.T_right_left.t.copy()
     todo = np.arange(n)
     for _ in range(MAX_START_DRAWS):
         w = _directions(len(todo), rng) * np.radians(rng.uniform(*options.rotation_deg, (len(todo), 1)))
-        baseline = np.linalg.norm(rigs.optimum.t_right_left[todo], axis=1, keepdims=True)
+        baseline = np.linalg.norm(rigs.optimum.T_right_left.t[todo], axis=1, keepdims=True)
         shift = _directions(len(todo), rng) * rng.uniform(*options.translation_share, (len(todo), 1)) * baseline
-        R[todo] = so3.exp(w) @ rigs.optimum.R_right_left[todo]
-        t[todo] = rigs.optimum.t_right_left[todo] + shift
-        start = replace(
-            rigs.optimum,
-            R_left_board=rigs.left_poses[0],
-            t_left_board=rigs.left_poses[1],
-            R_right_left=R,
-            t_right_left=t,
-        )
+        R[todo] = so3.exp(w) @ rigs.optimum.T_right_left.R[todo]
+        t[todo] = rigs.optimum.T_right_left.t[todo] + shift
+        start = replace(rigs.optimum, T_left_board=rigs.left_poses, T_right_left=SE3.unchecked(R, t))
         part = rigs.select(todo)
         r2 = residual_lengths2(part.problem, take_rigs(start, todo))
         todo = todo[~np.all([np.isfinite(side).all(axis=(1, 2)) for side in r2], axis=0)]
         if not len(todo):
             break
-    R[todo] = np.nan
+    R[todo] = np.nan  # those of the start
     return start
 
 
 def distance_sigma(rigs: RigBatch, estimate: BundleEstimate) -> Float[ndarray, "rigs"]:
     """Mahalanobis distance of R and T from the robust optimum, in standard deviations (norm over all six)."""
-    omega = so3.log(estimate.R_right_left @ rigs.optimum.R_right_left.swapaxes(-1, -2))
-    tau = estimate.t_right_left - rigs.optimum.t_right_left - np.cross(omega, rigs.optimum.t_right_left)
+    omega = so3.log(estimate.T_right_left.R @ rigs.optimum.T_right_left.R.swapaxes(-1, -2))
+    tau = estimate.T_right_left.t - rigs.optimum.T_right_left.t - np.cross(omega, rigs.optimum.T_right_left.t)
     xi = np.concatenate([omega, tau], axis=-1)
     return np.linalg.norm((rigs.whitening @ xi[..., None])[..., 0], axis=-1)
 

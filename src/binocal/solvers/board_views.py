@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from binocal.cameras import CameraModel
-from binocal.geometry import so3
+from binocal.cameras import CameraModel, StereoRig
+from binocal.geometry import SE3, so3
 from binocal.kernels import (
     Steps,
     ViewEquations,
@@ -111,10 +111,19 @@ class BundleEstimate:
     """A point in parameter space. The rig is None with a single camera."""
 
     parameters: tuple[Float[ndarray, "*batch p"], ...]
-    R_left_board: Float[ndarray, "*batch views 3 3"]
-    t_left_board: Float[ndarray, "*batch views 3"]
-    R_right_left: Float[ndarray, "*batch 3 3"] | None = None
-    t_right_left: Float[ndarray, "*batch 3"] | None = None
+    T_left_board: SE3
+    """(*batch, views)"""
+    T_right_left: SE3 | None = None
+
+    @classmethod
+    def of_rig(cls, rig: StereoRig, T_left_board: SE3) -> BundleEstimate:
+        """One rig with the board poses of every rig of a batch, (*batch, views)."""
+        batch, T = T_left_board.t.shape[:-2], rig.T_right_left
+        return cls(
+            tuple(np.broadcast_to(c.parameters, (*batch, len(c.parameters))) for c in (rig.left, rig.right)),
+            T_left_board,
+            SE3.unchecked(np.broadcast_to(T.R, (*batch, 3, 3)), np.broadcast_to(T.t, (*batch, 3))),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,29 +155,24 @@ def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> F
     return out
 
 
-def right_poses(
-    estimate: BundleEstimate,
-) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
-    """``T_right_board`` of every view."""
-    return compose_poses(estimate.R_right_left, estimate.t_right_left, estimate.R_left_board, estimate.t_left_board)
-
-
-def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> list[tuple[ndarray, ndarray]]:
+def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> tuple[SE3, ...]:
     """``T_camera_board`` of every view for each camera of the problem."""
-    left = (estimate.R_left_board, estimate.t_left_board)
-    return [left, right_poses(estimate)] if problem.is_stereo else [left]
+    left, rig = estimate.T_left_board, estimate.T_right_left
+    if not problem.is_stereo:
+        return (left,)
+    return left, SE3.unchecked(*compose_poses(rig.R, rig.t, left.R, left.t))
 
 
 def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views n"], ...]:
     """Squared residual lengths of each camera, whitened where it has a whitening; 0 where not seen."""
     poses = camera_poses(problem, estimate)
     return tuple(
-        squared_lengths(c.model.name, parameters, R, t, problem.object_points, c.pixels, c.is_seen, c.whitening)
+        squared_lengths(c.model.name, parameters, T.R, T.t, problem.object_points, c.pixels, c.is_seen, c.whitening)
         if c.model.is_compiled
         else plain_equations.squared_lengths(
-            c.model, parameters, R, t, problem.object_points, c.pixels, c.is_seen, c.whitening
+            c.model, parameters, T.R, T.t, problem.object_points, c.pixels, c.is_seen, c.whitening
         )
-        for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True)
+        for c, parameters, T in zip(problem.cameras, estimate.parameters, poses, strict=True)
     )
 
 
@@ -183,8 +187,19 @@ def linearize(
     """Residuals and normal equations of all cameras at an estimate."""
     poses = camera_poses(problem, estimate)
     equations = []
-    for c, parameters, (R, t) in zip(problem.cameras, estimate.parameters, poses, strict=True):
-        given = (parameters, R, t, problem.object_points, c.pixels, c.is_seen, scale_px, kernel, c.is_free, c.whitening)
+    for c, parameters, T in zip(problem.cameras, estimate.parameters, poses, strict=True):
+        given = (
+            parameters,
+            T.R,
+            T.t,
+            problem.object_points,
+            c.pixels,
+            c.is_seen,
+            scale_px,
+            kernel,
+            c.is_free,
+            c.whitening,
+        )
         is_compiled = c.model.is_compiled
         equations.append(
             accumulate(c.model.name, *given) if is_compiled else plain_equations.accumulate(c.model, *given)
@@ -272,7 +287,7 @@ def _equations(problem: BundleProblem, estimate: BundleEstimate, equations: Bund
         prior = (weight, -weight * own)
     return {
         "grams": tuple(e.gram for e in equations.cameras),
-        "T_right_left": (estimate.R_right_left, estimate.t_right_left) if problem.is_stereo else None,
+        "T_right_left": (estimate.T_right_left.R, estimate.T_right_left.t) if problem.is_stereo else None,
         "is_rig_free": problem.is_rig_free,
         "prior": prior,
     }
@@ -287,11 +302,11 @@ def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) 
         moved[..., free] += step.shared[..., column : column + len(free)]
         column += len(free)
         parameters.append(moved)
-    views = step_poses(estimate.R_left_board, estimate.t_left_board, step.views)
-    rig = (estimate.R_right_left, estimate.t_right_left)
+    views, rig = estimate.T_left_board, estimate.T_right_left
+    views = SE3.unchecked(*step_poses(views.R, views.t, step.views))
     if problem.is_stereo and problem.is_rig_free:
-        rig = step_poses(*rig, step.shared[..., column:])
-    return BundleEstimate(tuple(parameters), *views, *rig)
+        rig = SE3.unchecked(*step_poses(rig.R, rig.t, step.shared[..., column:]))
+    return BundleEstimate(tuple(parameters), views, rig)
 
 
 def straightened(
@@ -314,8 +329,8 @@ def straightened(
         count = int(camera.is_free.sum())
         moved[..., camera.is_free] = step.shared[..., column : column + count]
         column += count
-        rig = (estimate.R_right_left, estimate.t_right_left, rig_step) if index == 1 else None
-        poses = (estimate.R_left_board, estimate.t_left_board, step.views)
+        rig = (estimate.T_right_left.R, estimate.T_right_left.t, rig_step) if index == 1 else None
+        poses = (estimate.T_left_board.R, estimate.T_left_board.t, step.views)
         pixels = pixels_behind(
             camera.model.name, (values, moved), poses, rig, problem.object_points, camera.pixels, bend
         )

@@ -59,7 +59,7 @@ def shared_covariance(
     inverse = (vectors / values) @ vectors.T * scale[:, None] * scale * noise_px**2
     if problem.is_stereo and problem.is_rig_free:
         to_additive = np.eye(len(inverse))
-        to_additive[-3:, -6:-3] = -so3.hat(estimate.t_right_left)
+        to_additive[-3:, -6:-3] = -so3.hat(estimate.T_right_left.t)
         inverse = to_additive @ inverse @ to_additive.T
     return 0.5 * (inverse + inverse.T)
 
@@ -123,12 +123,6 @@ def cramer_rao_bound(
         is_free[4] = skew
         cameras.append(CameraObservations(model, np.zeros((n_views, 2, n)), seen, is_free, whitening))
     problem = BundleProblem(np.ascontiguousarray(np.asarray(object_points_m, dtype=float).T), tuple(cameras))
-    truth = BundleEstimate(
-        (rig.left.parameters, rig.right.parameters),
-        T_left_board.R,
-        T_left_board.t,
-        rig.T_right_left.R,
-        rig.T_right_left.t,
-    )
+    truth = BundleEstimate.of_rig(rig, T_left_board)
     equations = linearize(problem, truth, np.asarray(noise_px), "squared")
     return Covariance(shared_names(problem), shared_covariance(problem, truth, equations, noise_px))

@@ -83,7 +83,7 @@ def minimize(
     """
     options = options or LoopOptions()
     kernel = options.kernel
-    batch = start.t_left_board.shape[:-2]
+    batch = start.T_left_board.t.shape[:-2]
     if scale_px is None:
         noise_px = noise_estimate_px(problem, residual_lengths2(problem, start))
         scale = options.scale_factor * np.where(np.isfinite(noise_px), noise_px, 1.0)

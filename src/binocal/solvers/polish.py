@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from binocal.solvers.board_views import (
     retract,
 )
 from binocal.solvers.least_squares import Minimum
-
-if TYPE_CHECKING:
-    pass
 
 MAX_STEPS = 60  # the rational model's valley is bent: up to 40 were seen, other models take 1 or 2
 ROUNDING_PX = 1e-12  # a projection of some 1000 px is rounded to 1e-13
@@ -83,9 +79,15 @@ def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate, damping: 
     shared, pose, residual = [], [], []
     column = 0
     poses = camera_poses(problem, estimate)
-    for index, (camera, (R, t)) in enumerate(zip(problem.cameras, poses, strict=True)):
+    for index, (camera, T) in enumerate(zip(problem.cameras, poses, strict=True)):
         J = unweighted_columns(
-            camera.model.name, estimate.parameters[index], R, t, problem.object_points, camera.pixels, camera.is_seen
+            camera.model.name,
+            estimate.parameters[index],
+            T.R,
+            T.t,
+            problem.object_points,
+            camera.pixels,
+            camera.is_seen,
         )
         p = camera.model.n_parameters
         free = np.nonzero(camera.is_free)[0]
@@ -96,7 +98,7 @@ def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate, damping: 
         if index == 1:
             if problem.is_rig_free:
                 block[:, -6:] = J_pose
-            J_pose = adjoint(estimate.R_right_left, estimate.t_right_left).T @ J_pose
+            J_pose = adjoint(estimate.T_right_left.R, estimate.T_right_left.t).T @ J_pose
         shared.append(block)
         pose.append(J_pose)
         residual.append(J[:, -1:])

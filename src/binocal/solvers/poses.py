@@ -48,24 +48,24 @@ def estimate_board_poses(
     """
     if start is not None:
         is_found = detections.left_is_seen.sum(axis=1) + detections.right_is_seen.sum(axis=1) >= MIN_CORNERS
-        candidates = [(start.R, start.t)]
+        candidates = [start]
     else:
         candidates, is_found = _closed_form_starts(rig, detections)
     problem = _one_view_problems(rig, detections, weights or CornerWeights())
     best: Minimum | None = None
-    for R, t in candidates:
-        found = _solve(problem, rig, R, t, is_close=start is not None)
+    for T_left_board in candidates:
+        found = _solve(problem, rig, T_left_board, is_close=start is not None)
         best = found if best is None else _better(found, best)
     r2 = [
         np.where(camera.is_seen[:, 0] & is_found[:, None], e.r2_px2[:, 0], np.nan)
         for camera, e in zip(problem.cameras, best.equations.cameras, strict=True)
     ]
-    R = np.where(is_found[:, None, None], so3.project_to_rotation(best.estimate.R_left_board[:, 0]), np.eye(3))
-    t = np.where(is_found[:, None], best.estimate.t_left_board[:, 0], 0.0)
+    R = np.where(is_found[:, None, None], so3.project_to_rotation(best.estimate.T_left_board.R[:, 0]), np.eye(3))
+    t = np.where(is_found[:, None], best.estimate.T_left_board.t[:, 0], 0.0)
     return BoardPoses(SE3(R, t), is_found, r2[0], r2[1])
 
 
-def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[tuple[ndarray, ndarray]], ndarray]:
+def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[SE3], ndarray]:
     """``T_left_board`` from the left and from the right images, each filled with the other's where it has none."""
     starts = []
     T = rig.T_right_left
@@ -81,7 +81,7 @@ def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[tu
     for R, t, ok, R_other, t_other in ((R_l, t_l, ok_l, R_r, t_r), (R_r, t_r, ok_r, R_l, t_l)):
         R, t = np.where(ok[:, None, None], R, R_other), np.where(ok[:, None], t, t_other)
         R[neither], t[neither] = np.eye(3), [0.0, 0.0, 1.0]
-        candidates.append((R, t))
+        candidates.append(SE3.unchecked(R, t))
     return candidates, ~neither
 
 
@@ -99,15 +99,8 @@ def _one_view_problems(rig: StereoRig, detections: Detections, weights: CornerWe
     return BundleProblem(np.ascontiguousarray(detections.object_points_m.T), cameras, is_rig_free=False)
 
 
-def _solve(problem: BundleProblem, rig: StereoRig, R: ndarray, t: ndarray, *, is_close: bool) -> Minimum:
-    n_views = len(t)
-    start = BundleEstimate(
-        tuple(np.broadcast_to(c.parameters, (n_views, len(c.parameters))) for c in (rig.left, rig.right)),
-        R[:, None],
-        t[:, None],
-        np.broadcast_to(rig.T_right_left.R, (n_views, 3, 3)),
-        np.broadcast_to(rig.T_right_left.t, (n_views, 3)),
-    )
+def _solve(problem: BundleProblem, rig: StereoRig, T_left_board: SE3, *, is_close: bool) -> Minimum:
+    start = BundleEstimate.of_rig(rig, T_left_board[:, None])
     if is_close:
         return minimize(problem, start, LoopOptions(tolerance_sigma=0.1))
     loose = minimize(problem, start, LoopOptions(kernel="cauchy", scale_factor=2.0, tolerance_sigma=0.1))

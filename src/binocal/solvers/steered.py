@@ -132,14 +132,14 @@ def _is_far(state: LoopState) -> bool:
         return False
     xi = state.newton.shared[-6:]
     turn, shift = float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
-    return turn > FAR_TURN_RAD or shift > FAR_SHIFT_SHARE * float(np.linalg.norm(state.estimate.t_right_left))
+    return turn > FAR_TURN_RAD or shift > FAR_SHIFT_SHARE * float(np.linalg.norm(state.estimate.T_right_left.t))
 
 
 def _way_left_sigma(problem: BundleProblem, last: BundleEstimate, minimum: Minimum) -> float:
     """Mahalanobis length of R, T from the controller's last point to the minimum, all else free."""
     goal = minimum.estimate
-    turn = so3.log(last.R_right_left @ goal.R_right_left.T)
-    shift = last.t_right_left - goal.t_right_left - np.cross(turn, goal.t_right_left)
+    turn = so3.log(last.T_right_left.R @ goal.T_right_left.R.T)
+    shift = last.T_right_left.t - goal.T_right_left.t - np.cross(turn, goal.T_right_left.t)
     information = shared_information(problem, goal, minimum.equations)
     xi = np.concatenate([turn, shift])
     rig = np.linalg.inv(np.linalg.inv(information)[-6:, -6:])  # all other shared unknowns eliminated

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy import ndarray
 
+from binocal.geometry import SE3
 from binocal.kernels import LastIteration
 from binocal.kernels import observe as _observe
 from binocal.shapes import Bool, Float
@@ -60,7 +61,7 @@ class Action:
 class LoopState:
     """Where a batch of robust solves stands.
 
-    ``newton`` is the undamped step from here, ``home`` the board poses of the start. The others say what the last iteration
+    ``newton`` is the undamped step from here, ``start_poses`` the board poses of the start. The others say what the last iteration
     did: whether its candidate was kept,
     actual over predicted fall of the cost, and the MAD noise and newton step before it.
     """
@@ -74,7 +75,7 @@ class LoopState:
     gain: Float[ndarray, "*batch"]
     previous_mad_px: Float[ndarray, "*batch"]
     previous_newton: BundleStep
-    home: tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]
+    start_poses: SE3
 
     @property
     def decrement_sigma(self) -> Float[ndarray, "*batch"]:
@@ -96,18 +97,17 @@ def begin(
         mad = noise_estimate_px(problem, residual_lengths2(problem, start))
         mad = np.where(np.isfinite(mad), mad, 1.0)
     else:
-        mad = np.broadcast_to(np.asarray(scale_px, dtype=float), start.t_left_board.shape[:-2]).copy()
+        mad = np.broadcast_to(np.asarray(scale_px, dtype=float), start.T_left_board.t.shape[:-2]).copy()
     equations = linearize(problem, start, mad, kernel)
     newton = solve_step(problem, start, equations, np.zeros(mad.shape))
     ones = np.ones(mad.shape)
-    home = (start.R_left_board, start.t_left_board)
-    return LoopState(start, equations, newton, mad, mad, ones > 0, ones, mad, newton, home)
+    return LoopState(start, equations, newton, mad, mad, ones > 0, ones, mad, newton, start.T_left_board)
 
 
 def advance(problem: BundleProblem, state: LoopState, action: Action, kernel: robust.Kernel) -> LoopState:
     """One iteration: a candidate is evaluated, and kept where it is possible and lowers the robust cost."""
     step = propose(problem, state, action, kernel)
-    candidate = _with_lost_views_home(problem, state, retract(problem, state.estimate, step), kernel)
+    candidate = _with_lost_views_restored(problem, state, retract(problem, state.estimate, step), kernel)
     ahead = noise_estimate_px(problem, residual_lengths2(problem, candidate))
     is_possible = np.isfinite(ahead) & np.isfinite(step.predicted_px2)
     mad = np.where(is_possible, ahead, state.mad_px)
@@ -136,7 +136,7 @@ def advance(problem: BundleProblem, state: LoopState, action: Action, kernel: ro
         np.minimum(gain, 3.0),
         state.mad_px,
         state.newton,
-        state.home,
+        state.start_poses,
     )
 
 
@@ -171,7 +171,7 @@ def propose(problem: BundleProblem, state: LoopState, action: Action, kernel: ro
     )
 
 
-def _with_lost_views_home(
+def _with_lost_views_restored(
     problem: BundleProblem, state: LoopState, candidate: BundleEstimate, kernel: robust.Kernel
 ) -> BundleEstimate:
     """The candidate with the poses of views back at the start whose left corners have all lost their weight.
@@ -185,12 +185,7 @@ def _with_lost_views_home(
     is_lost = (state.equations.cameras[0].cost_px2 > LOST_SHARE * no_weight) & (no_weight > 0)
     if not is_lost.any():
         return candidate
-    R, t = state.home
-    return replace(
-        candidate,
-        R_left_board=np.where(is_lost[..., None, None], R, candidate.R_left_board),
-        t_left_board=np.where(is_lost[..., None], t, candidate.t_left_board),
-    )
+    return replace(candidate, T_left_board=choose_rigs(is_lost, state.start_poses, candidate.T_left_board))
 
 
 OBSERVED = (
@@ -230,8 +225,8 @@ def observe(problem: BundleProblem, state: LoopState) -> Float[ndarray, "*batch 
         tuple(camera.is_seen for camera in problem.cameras),
         state.mad_px,
         state.newton,
-        state.estimate.t_right_left,
-        state.estimate.t_left_board,
+        state.estimate.T_right_left.t,
+        state.estimate.T_left_board.t,
         last,
     )
 
