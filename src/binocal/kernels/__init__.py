@@ -290,7 +290,7 @@ def solve_steps(
     *,
     pose_growth: Float[ndarray, "*batch"] | None = None,
     is_rig_free: bool = True,
-    prior: tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch s"]] | None = None,
+    prior: tuple[Float[ndarray, "*batch s s"], Float[ndarray, "*batch s"]] | None = None,
     stretch: Float[ndarray, "*batch s"] | None = None,
     shift: Float[ndarray, "*batch s"] | None = None,
 ) -> Steps:
@@ -298,7 +298,8 @@ def solve_steps(
 
     ``grams`` come from :func:`accumulate`, one for each camera; the diagonal of the normal equations is multiplied by
     ``growth``, the board poses' own part by ``pose_growth`` if given. Shared unknowns are the cameras' free parameters,
-    then the rig's six if it is free. ``prior`` is added to their diagonal and gradient. ``stretch`` multiplies the shared
+    then the rig's six if it is free. ``prior`` is added to their information and
+    gradient. ``stretch`` multiplies the shared
     steps and ``shift`` is added to them; the views then take their best step beside, and the fall of that step is
     predicted. Views are eliminated by Cholesky factors (Schur complement), the rest by Gauss with pivoting, both
     equilibrated. A view whose weighted corners do not determine its pose neither steps nor counts; a rig whose equations
@@ -324,7 +325,7 @@ def reduced_information(
     T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
     *,
     is_rig_free: bool = True,
-    prior: tuple[Float[ndarray, "*batch s"], Float[ndarray, "*batch s"]] | None = None,
+    prior: tuple[Float[ndarray, "*batch s s"], Float[ndarray, "*batch s"]] | None = None,
 ) -> Float[ndarray, "*batch s s"]:
     """Information of the shared unknowns with the board poses free: the Schur complement of :func:`solve_steps`.
 
@@ -370,14 +371,14 @@ def _solve(
     n_rigs = math.prod(grams[0].shape[:-3])
     flat = [np.ascontiguousarray(gram).reshape(n_rigs, n_views, *gram.shape[-2:]) for gram in grams]
     R, t = (_NOTHING, _NOTHING) if T_right_left is None else T_right_left
-    weight, gradient = (_NOTHING, _NOTHING) if prior is None else prior
+    information, gradient = (_NOTHING, _NOTHING) if prior is None else prior
     _kernel.solve_steps(
         flat,
         *(np.ascontiguousarray(a, dtype=float) for a in (R, t)),
         is_rig_free,
         *(
             np.ascontiguousarray(a, dtype=float)
-            for a in (weight, gradient, *growths, *(_NOTHING if a is None else a for a in alteration))
+            for a in (information, gradient, *growths, *(_NOTHING if a is None else a for a in alteration))
         ),
         *out,
         min(n_threads(), 1 + n_rigs * n_views // VIEWS_PER_THREAD),

@@ -284,7 +284,7 @@ def _equations(problem: BundleProblem, estimate: BundleEstimate, equations: Bund
         batch = equations.scale_px.shape
         own = np.concatenate([np.broadcast_to(v, (*batch, v.shape[-1])) for v in [*values, held]], axis=-1)
         weight = equations.scale_px[..., None] ** 2 * np.concatenate([*precision, held])
-        prior = (weight, -weight * own)
+        prior = (weight[..., None] * np.eye(weight.shape[-1]), -weight * own)
     return {
         "grams": tuple(e.gram for e in equations.cameras),
         "T_right_left": (estimate.T_right_left.R, estimate.T_right_left.t) if problem.is_stereo else None,

@@ -30,7 +30,7 @@ struct Problem {
     std::size_t n_rigs, n_views;
     int s;                                // shared unknowns
     const double *R, *t;                  // T_right_left of each rig, null with one camera
-    const double *prior_weight, *prior_gradient;  // (rigs, s), added to the diagonal and the gradient
+    const double *prior_information, *prior_gradient;  // (rigs, s, s), (rigs, s), added to the shared equations; or null
     const double *growth, *pose_growth;   // (rigs), what the diagonals of shared unknowns and of poses are multiplied by
     const double* stretch;                // (rigs, s), what the shared steps are multiplied by, or null
     const double* shift;                  // (rigs, s), what is added to them, or null
@@ -203,11 +203,9 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             g[camera.place[i]] += row[q - 1];
         }
     }
-    for (int i = 0; i < s; ++i) {
-        if (problem.prior_weight) {
-            H[i * s + i] += problem.prior_weight[rig * s + i];
-            g[i] += problem.prior_gradient[rig * s + i];
-        }
+    if (problem.prior_information) {
+        for (int i = 0; i < s * s; ++i) H[i] += problem.prior_information[rig * s * s + i];
+        for (int i = 0; i < s; ++i) g[i] += problem.prior_gradient[rig * s + i];
     }
     gram_matrix<lanes>(Y, w.stride, w.m, w.block.data());
     std::vector<double> A(s * s), x(s), scale(s);
@@ -293,7 +291,7 @@ BINOCAL_INLINE void run_rigs(const Problem& problem, std::size_t first, std::siz
 
 BINOCAL_DISPATCH(steps_of_rigs, Problem, (run_rigs<lanes>(task, first, last)))
 
-void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doubles& t, bool is_rig_free, const Doubles& prior_weight, const Doubles& prior_gradient,
+void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doubles& t, bool is_rig_free, const Doubles& prior_information, const Doubles& prior_gradient,
                  const Doubles& growth, const Doubles& pose_growth, const Doubles& stretch, const Doubles& shift, DoublesOut shared, DoublesOut views, DoublesOut predicted, DoublesOut reduced,
                  DoublesOut gradient, DoublesOut pivot, std::size_t n_threads) {
     require(!grams.empty() && grams.size() <= 2, "one or two cameras");
@@ -324,9 +322,9 @@ void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doub
         require(R.size() == 9 * rigs && t.size() == 3 * rigs, "one T_right_left for each rig");
         problem.R = R.data(), problem.t = t.data();
     }
-    if (prior_weight.size() > 0) {
-        require(prior_weight.size() == rigs * s && prior_gradient.size() == rigs * s, "the priors' size is wrong");
-        problem.prior_weight = prior_weight.data(), problem.prior_gradient = prior_gradient.data();
+    if (prior_information.size() > 0) {
+        require(prior_information.size() == rigs * s * s && prior_gradient.size() == rigs * s, "the priors' size is wrong");
+        problem.prior_information = prior_information.data(), problem.prior_gradient = prior_gradient.data();
     }
     problem.growth = growth.data(), problem.pose_growth = pose_growth.data();
     if (stretch.size() > 0) {
