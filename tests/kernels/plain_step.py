@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from binocal.geometry import so3
 from binocal.solvers import robust
-from binocal.solvers.board_views import BundleEstimate, BundleProblem, camera_poses, prior_precision
+from binocal.solvers.board_views import BundleEstimate, BundleProblem
 
 
 def normal_equations(
@@ -19,7 +19,7 @@ def normal_equations(
     n_all = n_shared + 6 * n_views
     H, g = np.zeros((n_all, n_all)), np.zeros(n_all)
     column = 0
-    for index, (camera, T) in enumerate(zip(problem.cameras, camera_poses(problem, estimate), strict=True)):
+    for index, (camera, T) in enumerate(zip(problem.cameras, problem.camera_poses(estimate), strict=True)):
         parameters = estimate.parameters[index]
         J, _ = plain_accumulate.unweighted_columns(
             camera.model, parameters, T.R, T.t, problem.object_points, camera.pixels, camera.is_seen
@@ -39,7 +39,7 @@ def normal_equations(
             H += np.einsum("cna,n,cnb->ab", A, weight[view], A)
             g += np.einsum("cna,n,cn->a", A, weight[view], J[view, -1])
         own = np.arange(column, column + n_free)
-        precision = scale_px**2 * prior_precision(camera)[camera.is_free]
+        precision = scale_px**2 * camera.prior_precision[camera.is_free]
         H[own, own] += precision
         g[own] -= precision * parameters[camera.is_free]
         column += n_free

@@ -7,15 +7,12 @@ import pytest
 from test_step import make_problem
 
 from binocal.cameras import CAMERA_MODELS
-from binocal.solvers.board_views import camera_poses, linearize, retract, solve_step, straightened
 
 
 def predicted_px(problem, estimate):
     """Corners as the estimate predicts them, (views, 2, n) for each camera."""
     out = []
-    for camera, parameters, T in zip(
-        problem.cameras, estimate.parameters, camera_poses(problem, estimate), strict=True
-    ):
+    for camera, parameters, T in zip(problem.cameras, estimate.parameters, problem.camera_poses(estimate), strict=True):
         X = T.R @ problem.object_points + T.t[..., None]
         u, v = camera.model.project(parameters, X[:, 0], X[:, 1], X[:, 2])
         out.append(np.stack([u, v], axis=1))
@@ -27,7 +24,7 @@ def predicted_px(problem, estimate):
 def test_the_motion_is_the_second_order_series_of_the_projection(model, bend):
     # steps of some degrees; differences with h = 1e-3 leave 1e-5 px of rounding and fourth order
     problem, estimate = make_problem(model)
-    step = solve_step(problem, estimate, linearize(problem, estimate, np.asarray(0.5), "squared"), np.zeros(()))
+    step = problem.solve_step(estimate, problem.linearize(estimate, np.asarray(0.5), "squared"), np.zeros(()))
     rng = np.random.default_rng(1)
     shared = step.shared.copy()
     shared[-6:-3] = 0.1 * rng.standard_normal(3)
@@ -38,11 +35,11 @@ def test_the_motion_is_the_second_order_series_of_the_projection(model, bend):
 
     def at(share):
         return predicted_px(
-            problem, retract(problem, estimate, replace(step, shared=share * shared, views=share * views))
+            problem, problem.retract(estimate, replace(step, shared=share * shared, views=share * views))
         )
 
     now, ahead, behind = predicted_px(problem, estimate), at(h), at(-h)
-    straight = straightened(problem, estimate, step, np.asarray(bend))
+    straight = problem.straightened(estimate, step, np.asarray(bend))
     for camera, old, p0, p1, p2 in zip(straight.cameras, problem.cameras, now, ahead, behind, strict=True):
         motion = (p1 - p2) / (2 * h) + bend * 0.5 * (p1 + p2 - 2 * p0) / h**2
         assert np.abs(old.pixels - camera.pixels - motion).max() < 2e-3  # of motions up to 300 px
@@ -51,7 +48,7 @@ def test_the_motion_is_the_second_order_series_of_the_projection(model, bend):
 
 def test_a_step_of_nothing_moves_nothing():
     problem, estimate = make_problem("brown4")
-    step = solve_step(problem, estimate, linearize(problem, estimate, np.asarray(0.5), "squared"), np.zeros(()))
+    step = problem.solve_step(estimate, problem.linearize(estimate, np.asarray(0.5), "squared"), np.zeros(()))
     still = replace(step, shared=0 * step.shared, views=0 * step.views)
-    for camera, old in zip(straightened(problem, estimate, still, np.ones(())).cameras, problem.cameras, strict=True):
+    for camera, old in zip(problem.straightened(estimate, still, np.ones(())).cameras, problem.cameras, strict=True):
         assert np.array_equal(camera.pixels, old.pixels)

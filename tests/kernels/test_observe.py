@@ -7,7 +7,6 @@ import pytest
 from test_step import make_problem
 
 from binocal.kernels import LastIteration, observe
-from binocal.solvers.board_views import linearize, noise_estimate_px, solve_step
 from binocal.solvers.steering import OBSERVED
 
 BIN = 1 / 16  # of an octave of length: what a quantile may be off
@@ -22,11 +21,11 @@ def last_iteration(mad, step):
 @pytest.fixture
 def seen():
     problem, estimate = make_problem("brown4", intrinsics=False)
-    equations = linearize(problem, estimate, np.asarray(0.5), "cauchy")
-    step = solve_step(problem, estimate, equations, np.zeros(()))
+    equations = problem.linearize(estimate, np.asarray(0.5), "cauchy")
+    step = problem.solve_step(estimate, equations, np.zeros(()))
     r2 = tuple(e.r2_px2 for e in equations.cameras)
     is_seen = tuple(c.is_seen for c in problem.cameras)
-    mad = noise_estimate_px(problem, r2)
+    mad = problem.noise_estimate_px(r2)
     row = observe(r2, is_seen, mad, step, estimate.T_right_left.t, estimate.T_left_board.t, last_iteration(mad, step))
     return dict(zip(OBSERVED, row, strict=True)), r2, is_seen, float(mad), step, estimate
 

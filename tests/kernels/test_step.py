@@ -14,9 +14,6 @@ from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    linearize,
-    shared_information,
-    solve_step,
 )
 from rigs import make_detections, make_poses, make_rig
 
@@ -55,7 +52,7 @@ def test_the_step_equals_the_dense_one(case, damping):
     problem, estimate = make_problem(**case)
     n_views = len(estimate.T_left_board.t)
     seen = [i for i in range(n_views) if any(c.is_seen[i].any() for c in problem.cameras)]
-    step = solve_step(problem, estimate, linearize(problem, estimate, np.asarray(0.5), "cauchy"), np.asarray(damping))
+    step = problem.solve_step(estimate, problem.linearize(estimate, np.asarray(0.5), "cauchy"), np.asarray(damping))
     H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
     s = problem.n_shared
     keep = np.r_[np.arange(s), *(s + 6 * i + np.arange(6) for i in seen)]
@@ -72,7 +69,7 @@ def test_the_shared_information_is_the_schur_complement():
     H, _ = plain_step.normal_equations(problem, estimate, 0.5, "hampel")
     s = problem.n_shared
     expected = H[:s, :s] - H[:s, s:] @ np.linalg.solve(H[s:, s:], H[s:, :s])
-    result = shared_information(problem, estimate, linearize(problem, estimate, np.asarray(0.5), "hampel"))
+    result = problem.shared_information(estimate, problem.linearize(estimate, np.asarray(0.5), "hampel"))
     size = np.sqrt(np.outer(np.diag(H)[:s], np.diag(H)[:s]))
     assert np.abs((result - expected) / size).max() < 1e-12  # measured 2e-14
 
@@ -85,8 +82,8 @@ def test_one_degenerate_rig_of_a_batch_spoils_no_other():
     ]
     both = replace(problem, cameras=tuple(cameras))
     batch = stack_rigs([estimate, estimate])
-    step = solve_step(both, batch, linearize(both, batch, np.ones(2), "squared"), np.zeros(2))
-    single = solve_step(problem, estimate, linearize(problem, estimate, np.ones(()), "squared"), np.zeros(()))
+    step = both.solve_step(batch, both.linearize(batch, np.ones(2), "squared"), np.zeros(2))
+    single = problem.solve_step(estimate, problem.linearize(estimate, np.ones(()), "squared"), np.zeros(()))
     assert np.isnan(step.predicted_px2[1]) and np.isnan(step.shared[1]).all()
     assert np.array_equal(step.shared[0], single.shared) and np.array_equal(step.views[0], single.views)
 
@@ -112,12 +109,12 @@ def test_poses_step_and_compose_like_their_matrices(angle_rad):
 def test_an_altered_step_lets_the_views_take_their_best(intrinsics):
     # the altered shared step is given; the views then solve their own dense equations, and the fall is the dense quadratic's
     problem, estimate = make_problem("brown4", intrinsics=intrinsics)
-    equations, s = linearize(problem, estimate, np.asarray(0.5), "cauchy"), problem.n_shared
+    equations, s = problem.linearize(estimate, np.asarray(0.5), "cauchy"), problem.n_shared
     H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
-    plain = solve_step(problem, estimate, equations, np.zeros(()))
-    stretched = solve_step(problem, estimate, equations, np.zeros(()), np.array([1.3, 0.8]))
+    plain = problem.solve_step(estimate, equations, np.zeros(()))
+    stretched = problem.solve_step(estimate, equations, np.zeros(()), np.array([1.3, 0.8]))
     given = np.array([1e-3, -2e-3, 5e-4, 1e-4, 2e-4, -3e-4])
-    shifted = solve_step(problem, estimate, equations, np.zeros(()), increment=given)
+    shifted = problem.solve_step(estimate, equations, np.zeros(()), increment=given)
     assert np.allclose(stretched.shared[-6:], plain.shared[-6:] * np.repeat([1.3, 0.8], 3), rtol=1e-12)
     assert np.allclose(stretched.shared[:-6], plain.shared[:-6], rtol=1e-12)
     assert np.allclose(shifted.shared[-6:], given, rtol=1e-9)
@@ -130,9 +127,9 @@ def test_an_altered_step_lets_the_views_take_their_best(intrinsics):
 
 def test_pose_damping_holds_the_boards_and_not_the_rig():
     problem, estimate = make_problem("brown4", intrinsics=False)
-    equations, s = linearize(problem, estimate, np.asarray(0.5), "cauchy"), problem.n_shared
+    equations, s = problem.linearize(estimate, np.asarray(0.5), "cauchy"), problem.n_shared
     H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
-    step = solve_step(problem, estimate, equations, np.asarray(0.1), pose_damping=np.asarray(50.0))
+    step = problem.solve_step(estimate, equations, np.asarray(0.1), pose_damping=np.asarray(50.0))
     damped = H.copy()
     diagonal = np.diag(H)
     damped[np.diag_indices_from(damped)] = diagonal * np.r_[np.full(s, 1.1), np.full(len(H) - s, 51.0)]
@@ -152,8 +149,7 @@ def test_a_view_that_its_corners_do_not_determine_spoils_no_other():
     few[0][3] = False
     without = replace(problem, cameras=tuple(replace(c, is_seen=f) for c, f in zip(problem.cameras, few, strict=True)))
     steps = [
-        solve_step(p, estimate, linearize(p, estimate, np.asarray(0.5), "cauchy"), np.zeros(()))
-        for p in (loose, without)
+        p.solve_step(estimate, p.linearize(estimate, np.asarray(0.5), "cauchy"), np.zeros(())) for p in (loose, without)
     ]
     assert np.isfinite(steps[0].predicted_px2)
     assert np.allclose(steps[0].shared, steps[1].shared, rtol=1e-9)
@@ -165,6 +161,6 @@ def test_gradient_and_least_pivot_describe_the_reduced_equations():
     H, g = plain_step.normal_equations(problem, estimate, 0.5, "cauchy")
     s = problem.n_shared
     eliminate = H[:s, s:] @ np.linalg.inv(H[s:, s:])
-    step = solve_step(problem, estimate, linearize(problem, estimate, np.asarray(0.5), "cauchy"), np.zeros(()))
+    step = problem.solve_step(estimate, problem.linearize(estimate, np.asarray(0.5), "cauchy"), np.zeros(()))
     assert np.allclose(step.gradient_px2, g[:s] - eliminate @ g[s:], rtol=1e-8)
     assert 0 < step.least_pivot <= 1

@@ -13,7 +13,6 @@ from binocal.rl.real_rig_batches import network_widths, rigs_from_calibration, t
 from binocal.rl.rig_batches import distance_sigma, remaining_sigma, sample_starts
 from binocal.rl.task import KERNEL, initial, transition
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
-from binocal.solvers.board_views import retract
 from binocal.solvers.steering import begin
 
 BOARD = parse_board("chessboard:11x8:20mm")
@@ -41,7 +40,7 @@ def test_near_the_optimum_the_way_left_is_the_length_of_the_newton_step(real):
         shared=1e-5 * rng.standard_normal(at.newton.shared.shape),
         views=1e-5 * rng.standard_normal(at.newton.views.shape),
     )
-    moved = begin(real.problem, retract(real.problem, real.optimum, step), KERNEL, real.lowest.scale_px)
+    moved = begin(real.problem, real.problem.retract(real.optimum, step), KERNEL, real.lowest.scale_px)
     np.testing.assert_allclose(remaining_sigma(real, moved), moved.decrement_sigma, rtol=0.02)
 
 

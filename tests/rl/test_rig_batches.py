@@ -11,7 +11,6 @@ from binocal.geometry import SE3, so3
 from binocal.rl import rig_batches as module
 from binocal.rl.rig_batches import RIG_SETS, distance_sigma, sample_rigs, sample_starts
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.board_views import residual_lengths2
 from binocal.solvers.steering import begin
 
 FEW_VIEWS = replace(RIG_SETS["standard"], n_views=8)
@@ -80,12 +79,12 @@ def test_starts_are_as_far_off_as_stated_and_possible(name):
             (share, rigs.options.translation_share),
         ):
             assert (got >= low - 1e-6).all() and (got <= high + 1e-6).all()
-        assert all(np.isfinite(r2).all() for r2 in residual_lengths2(rigs.problem, start))
+        assert all(np.isfinite(r2).all() for r2 in rigs.problem.residual_lengths2(start))
 
 
 def test_reversed_views_are_as_many_as_stated():
     stress = sample_rigs(RIG_SETS["stress"], 4, np.random.default_rng(2))
-    r2 = residual_lengths2(stress.problem, stress.optimum)[1]
+    r2 = stress.problem.residual_lengths2(stress.optimum)[1]
     assert (np.sum(np.median(r2, axis=2) > 100, axis=1) == 2).all()  # a fifth of 12 views, rounded; 10 px
 
 
@@ -107,6 +106,6 @@ def test_selected_rigs_keep_the_weights_of_their_own_corners():
     part = weighted.select(np.array([2, 0]))
     for camera in part.problem.cameras:
         assert np.array_equal(camera.whitening, weights[[2, 0]])
-    whole = residual_lengths2(weighted.problem, weighted.optimum)
-    for some, all_of_them in zip(residual_lengths2(part.problem, part.optimum), whole, strict=True):
+    whole = weighted.problem.residual_lengths2(weighted.optimum)
+    for some, all_of_them in zip(part.problem.residual_lengths2(part.optimum), whole, strict=True):
         assert np.array_equal(some, all_of_them[[2, 0]])

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from binocal.solvers.bundle import BundleEstimate, BundleProblem, CameraObservations, linearize, residual_lengths2
 
 from binocal.cameras import CAMERA_MODELS, CameraModel
 from binocal.geometry import SE3
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
 from rigs import make_detections, make_poses, make_rig
 
 
@@ -43,13 +43,13 @@ def problems(request):
 @pytest.mark.parametrize("kernel", ["squared", "cauchy", "hampel"])
 def test_equations(problems, kernel):
     compiled, plain, estimate, scale_px = problems
-    one, other = (linearize(problem, estimate, scale_px, kernel) for problem in (compiled, plain))
+    one, other = (problem.linearize(estimate, scale_px, kernel) for problem in (compiled, plain))
     for a, b in zip(one.cameras, other.cameras, strict=True):
         size = np.abs(a.gram).max(axis=(-1, -2), keepdims=True)
         assert np.abs(a.gram - b.gram).max() < 1e-10 * size.max()
         np.testing.assert_allclose(b.r2_px2, a.r2_px2, rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(b.cost_px2, a.cost_px2, rtol=1e-8)
-    for a, b in zip(residual_lengths2(compiled, estimate), residual_lengths2(plain, estimate), strict=True):
+    for a, b in zip(compiled.residual_lengths2(estimate), plain.residual_lengths2(estimate), strict=True):
         np.testing.assert_allclose(b, a, rtol=1e-8, atol=1e-12)
 
 
@@ -57,6 +57,6 @@ def test_points_behind_the_camera_are_impossible(problems):
     compiled, plain, estimate, scale_px = problems
     T = estimate.T_left_board
     behind = replace(estimate, T_left_board=SE3(T.R, -T.t))
-    for a, b in zip(*(linearize(p, behind, scale_px, "squared").cameras for p in (compiled, plain)), strict=True):
+    for a, b in zip(*(p.linearize(behind, scale_px, "squared").cameras for p in (compiled, plain)), strict=True):
         assert np.array_equal(np.isinf(a.cost_px2), np.isinf(b.cost_px2))
         assert np.isinf(a.cost_px2).any() != compiled.cameras[0].model.sees_behind

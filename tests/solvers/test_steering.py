@@ -12,7 +12,7 @@ from binocal.simulation.noise import simulate_detections
 from binocal.simulation.rigs import table2_rig
 from binocal.simulation.scenes import StereoScene, sample_board_poses
 from binocal.solvers.arrays import stack_rigs
-from binocal.solvers.board_views import CameraObservations, cost_under, retract, shared_information
+from binocal.solvers.board_views import CameraObservations
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
 from binocal.solvers.least_squares import minimize
 from binocal.solvers.steered import MAX_LED_ITERATIONS, minimize_steered
@@ -51,7 +51,7 @@ def test_zero_action_is_robust_gauss_newton():
     problem, start = make_case()
     state = begin(problem, start, "hampel")
     after = advance(problem, state, PLAIN, "hampel")
-    by_hand = retract(problem, start, state.newton)
+    by_hand = problem.retract(start, state.newton)
     assert after.is_kept and np.array_equal(after.estimate.T_right_left.R, by_hand.T_right_left.R)
 
 
@@ -85,7 +85,7 @@ def test_the_robust_cost_never_rises(action):
     for _ in range(8):
         after = advance(problem, state, action, "hampel")
         scale = after.scale_px
-        assert cost_under(after.equations, scale, "hampel") <= cost_under(state.equations, scale, "hampel")
+        assert after.equations.cost_under(scale, "hampel") <= state.equations.cost_under(scale, "hampel")
         state = after
 
 
@@ -161,7 +161,7 @@ def test_the_way_that_was_left_is_measured_in_sigmas():
     for iteration in steered.led:
         action = Action(np.asarray(iteration.damping), np.asarray(iteration.scale_factor))
         state = advance(problem, state, action, "hampel")
-    sigma = np.sqrt(np.diag(np.linalg.inv(shared_information(problem, goal, steered.minimum.equations)))[:3])
+    sigma = np.sqrt(np.diag(np.linalg.inv(problem.shared_information(goal, steered.minimum.equations)))[:3])
     turn = so3.log(state.estimate.T_right_left.R @ goal.T_right_left.R.T)
     # six unknowns together are at least as far as the farthest of them alone
     assert steered.remaining_sigma >= np.max(np.abs(turn) / sigma) / steered.minimum.scale_px - 1e-6

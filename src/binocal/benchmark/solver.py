@@ -30,9 +30,6 @@ from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    linearize,
-    retract,
-    solve_step,
 )
 from binocal.threads import n_processors
 
@@ -163,11 +160,11 @@ def _time_batch(seed: int, rounds: int, *, intrinsics: bool) -> dict[str, Any]:
     scale_px, damping = np.full(BATCH_RIGS, NOISE_PX), np.full(BATCH_RIGS, 1e-3)
     rates = []
     for round_index in range(rounds + 1):
-        estimate, equations = start, linearize(problem, start, scale_px, "cauchy")
+        estimate, equations = start, problem.linearize(start, scale_px, "cauchy")
         begin = time.perf_counter()
         for _ in range(n_steps):
-            estimate = retract(problem, estimate, solve_step(problem, estimate, equations, damping))
-            equations = linearize(problem, estimate, scale_px, "cauchy")
+            estimate = problem.retract(estimate, problem.solve_step(estimate, equations, damping))
+            equations = problem.linearize(estimate, scale_px, "cauchy")
         if round_index:
             rates.append(n_steps * BATCH_RIGS / (time.perf_counter() - begin))
     return {

@@ -25,7 +25,7 @@ from binocal.initialization.verified_start import estimate_verified_start
 from binocal.result import RejectedView, StereoCalibration
 from binocal.shapes import Float
 from binocal.solvers import robust
-from binocal.solvers.board_views import BundleEstimate, BundleProblem, residual_lengths2
+from binocal.solvers.board_views import BundleEstimate, BundleProblem
 from binocal.solvers.covariance import inliers
 from binocal.solvers.least_squares import RESUMED_DAMPING, START_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
@@ -194,7 +194,7 @@ def solve_with_misfit(
     for attempt in range(MISFIT_ROUNDS if views.has_covariances else 0):
         if not minimum.is_converged:
             break
-        found_px = estimate_misfit_px(views, residual_lengths2(plain, minimum.estimate))
+        found_px = estimate_misfit_px(views, plain.residual_lengths2(minimum.estimate))
         if attempt and abs(found_px**2 - misfit_px**2) < MISFIT_SHARE * float(minimum.scale_px) ** 2:
             break
         misfit_px = found_px

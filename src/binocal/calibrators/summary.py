@@ -25,7 +25,7 @@ from binocal.result import (
     ViewResult,
 )
 from binocal.shapes import Bool, Float, Int
-from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations, residual_lengths2
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
 from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
 from binocal.solvers.least_squares import Minimum
 from binocal.solvers.whitening import CornerWeights
@@ -48,7 +48,7 @@ def joint_problem(
 def plain_lengths2(problem: BundleProblem, minimum: Minimum) -> tuple[Float[ndarray, "views n"], ...]:
     """Squared residual lengths of each camera in pixels, whatever the corners weigh."""
     if problem.is_whitened:
-        return residual_lengths2(problem.unwhitened, minimum.estimate)
+        return problem.unwhitened.residual_lengths2(minimum.estimate)
     return tuple(e.r2_px2 for e in minimum.equations.cameras)
 
 

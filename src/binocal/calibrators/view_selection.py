@@ -28,9 +28,6 @@ from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    linearize,
-    prior_precision,
-    shared_information,
 )
 from binocal.solvers.poses import estimate_board_poses
 from binocal.solvers.whitening import CornerWeights, corner_weights
@@ -256,8 +253,8 @@ def _informations(
         n = chunk.n_views
         estimate = BundleEstimate.of_rig(rig, poses.T_left_board[:, None])
         blank = np.ones(n)
-        H = shared_information(problem, estimate, linearize(problem, estimate, blank, "squared"))
-        prior = np.concatenate([prior_precision(c)[c.is_free] for c in problem.cameras] + [np.zeros(6)])
+        H = problem.shared_information(estimate, problem.linearize(estimate, blank, "squared"))
+        prior = np.concatenate([c.prior_precision[c.is_free] for c in problem.cameras] + [np.zeros(6)])
         H = H - np.diag(prior)  # each view's equations hold the priors; they count once
         H[~seen] = 0
         blocks.append(0.5 * (H + H.swapaxes(1, 2)))

@@ -21,10 +21,6 @@ from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    cost_under,
-    linearize,
-    residual_lengths2,
-    shared_information,
 )
 from binocal.solvers.least_squares import LoopOptions, minimize
 from binocal.solvers.steering import LoopState
@@ -158,7 +154,7 @@ def solved_rigs(
     optimum = minimum.estimate
     left = replace(problem, cameras=problem.cameras[:1], is_rig_free=False)
     alone = minimize(left, BundleEstimate(known.parameters[:1], known.T_left_board), LoopOptions()).estimate
-    information = shared_information(problem, optimum, linearize(problem, optimum, noise_px, "hampel"))
+    information = problem.shared_information(optimum, problem.linearize(optimum, noise_px, "hampel"))
     # the upper triangular factor: |whitening @ xi|² = xi' information xi / noise²
     whitening = np.linalg.cholesky(information).swapaxes(-1, -2) / noise_px[:, None, None]
     lowest = None if has_truth else LowestCost(minimum.equations.cost_px2, minimum.equations.scale_px)
@@ -199,7 +195,7 @@ def sample_starts(rigs: RigBatch, rng: np.random.Generator) -> BundleEstimate:
         t[todo] = rigs.optimum.T_right_left.t[todo] + shift
         start = replace(rigs.optimum, T_left_board=rigs.left_poses, T_right_left=SE3.unchecked(R, t))
         part = rigs.select(todo)
-        r2 = residual_lengths2(part.problem, take_rigs(start, todo))
+        r2 = part.problem.residual_lengths2(take_rigs(start, todo))
         todo = todo[~np.all([np.isfinite(side).all(axis=(1, 2)) for side in r2], axis=0)]
         if not len(todo):
             break
@@ -223,7 +219,7 @@ def remaining_sigma(rigs: RigBatch, loop: LoopState) -> Float[ndarray, "rigs"]:
     """
     if rigs.lowest is None:
         return distance_sigma(rigs, loop.estimate)
-    excess = cost_under(loop.equations, rigs.lowest.scale_px, "hampel") - rigs.lowest.cost_px2
+    excess = loop.equations.cost_under(rigs.lowest.scale_px, "hampel") - rigs.lowest.cost_px2
     return np.sqrt(2 * np.maximum(excess, 0.0)) / rigs.lowest.scale_px
 
 

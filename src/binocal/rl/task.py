@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
 from binocal.shapes import Bool, Float, Int
-from binocal.solvers.board_views import BundleEstimate, BundleProblem, shared_information
+from binocal.solvers.board_views import BundleEstimate, BundleProblem
 from binocal.solvers.steering import OBSERVED, Action, LoopState, advance, begin, observe
 
 KERNEL = "hampel"
@@ -119,7 +119,7 @@ def _whitened_step(
     problem: BundleProblem, loop: LoopState
 ) -> tuple[Float[ndarray, "*batch 6 6"], Float[ndarray, "*batch 6"]]:
     """The factor that whitens a left step of the rig (intrinsics held, board poses free), and the whitened Newton step."""
-    information = shared_information(problem, loop.estimate, loop.equations)[..., -6:, -6:]
+    information = problem.shared_information(loop.estimate, loop.equations)[..., -6:, -6:]
     is_sound = np.isfinite(information).all(axis=(-1, -2)) & np.isfinite(loop.newton.predicted_px2)
     information = np.where(is_sound[..., None, None], information, np.eye(6))
     values, vectors = np.linalg.eigh(information)

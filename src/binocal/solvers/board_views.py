@@ -12,6 +12,7 @@ once. All functions are pure.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -36,6 +37,7 @@ from binocal.kernels import (
 from binocal.shapes import Bool, Float
 from binocal.solvers import plain_equations, robust
 from binocal.solvers.arrays import SHARED
+from binocal.solvers.problem import SharedTerm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +73,11 @@ class CameraObservations:
         is_free[4] = intrinsics and skew
         return CameraObservations(model, pixels, is_seen, is_free, whitening)
 
+    @property
+    def prior_precision(self) -> Float[ndarray, "p"]:
+        """Precision of the model's weak prior on each parameter; 0 where there is none or the parameter is held."""
+        return np.where(self.is_free, self.model.prior_precision, 0.0)
+
     def each_view_alone(self) -> CameraObservations:
         """The views of one rig as a batch of rigs with one view each."""
         whitening = None if self.whitening is None else self.whitening[:, None]
@@ -78,12 +85,108 @@ class CameraObservations:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BundleEstimate:
+    """A point in parameter space. The rig is None with a single camera."""
+
+    parameters: tuple[Float[ndarray, "*batch p"], ...]
+    T_left_board: SE3
+    """(*batch, views)"""
+    T_right_left: SE3 | None = None
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """The batch's dimensions."""
+        return self.T_left_board.t.shape[:-2]
+
+    @classmethod
+    def of_rig(cls, rig: StereoRig, T_left_board: SE3) -> BundleEstimate:
+        """One rig with the board poses of every rig of a batch, (*batch, views)."""
+        batch, T = T_left_board.t.shape[:-2], rig.T_right_left
+        return cls(
+            tuple(np.broadcast_to(c.parameters, (*batch, len(c.parameters))) for c in (rig.left, rig.right)),
+            T_left_board,
+            SE3.unchecked(np.broadcast_to(T.R, (*batch, 3, 3)), np.broadcast_to(T.t, (*batch, 3))),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleEquations:
+    """The problem linearised at an estimate.
+
+    Per-camera equations and the total robust cost (inf where the estimate is impossible).
+
+    The cost includes ``prior_energy``, half the squared standardised distance from the priors, times the squared
+    ``scale_px`` that stands for the noise.
+    """
+
+    cameras: tuple[ViewEquations, ...]
+    cost_px2: Float[ndarray, "*batch"]
+    prior_energy: Float[ndarray, "*batch"]
+    scale_px: Float[ndarray, "*batch"]
+
+    @property
+    def r2_px2(self) -> tuple[Float[ndarray, "*batch views n"], ...]:
+        """Squared residual lengths of each camera, as :meth:`BundleProblem.residual_lengths2` gives them."""
+        return tuple(e.r2_px2 for e in self.cameras)
+
+    def cost_under(self, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> Float[ndarray, "*batch"]:
+        """Robust cost of the same residuals under another scale of the kernel."""
+        total = scale_px**2 * self.prior_energy
+        for e in self.cameras:
+            total = total + robust_costs(e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1), scale_px, kernel)
+        return np.where(np.isfinite(self.cost_px2), total, np.inf)
+
+
+BundleStep = Steps
+"""A Newton-like step: shared parameters (free ones only, in order), view poses, and the predicted fall of the cost."""
+
+
+def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 6 6"]:
+    """Adjoint of a transform: a left step xi seen through T_a_b is the left step Ad xi after it."""
+    out = np.zeros((*R.shape[:-2], 6, 6))
+    out[..., :3, :3] = R
+    out[..., 3:, 3:] = R
+    out[..., 3:, :3] = so3.hat(t) @ R
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelPrior:
+    """The weak priors of the cameras' models, a term like any other (:class:`binocal.solvers.problem.SharedTerm`)."""
+
+    def energy(self, problem: BundleProblem, estimate: BundleEstimate) -> Float[ndarray, "*batch"]:
+        """Half the squared distance of the coefficients from 0, in standard deviations."""
+        energy = np.zeros(estimate.batch)
+        for camera, parameters in zip(problem.cameras, estimate.parameters, strict=True):
+            energy = energy + 0.5 * (parameters**2 @ camera.prior_precision)
+        return energy
+
+    def normal_equations(
+        self, problem: BundleProblem, estimate: BundleEstimate
+    ) -> tuple[Float[ndarray, "*batch s s"], Float[ndarray, "*batch s"]]:
+        """A diagonal information; the gradient pulls towards 0."""
+        precision = np.zeros(problem.n_shared)
+        gradient = np.zeros((*estimate.batch, problem.n_shared))
+        for camera, parameters, place in zip(problem.cameras, estimate.parameters, problem.places, strict=True):
+            precision[place] = camera.prior_precision[camera.is_free]
+            gradient[..., place] = -precision[place] * parameters[..., camera.is_free]
+        return np.diag(precision), gradient
+
+
+MODEL_PRIOR = ModelPrior()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class BundleProblem:
-    """The measurements: one or two cameras that saw the same views of the board."""
+    """The measurements: one or two cameras that saw the same views of the board (:class:`binocal.solvers.problem.Problem`).
+
+    ``terms`` are priors on the shared unknowns, beside the weak ones of the cameras' models.
+    """
 
     object_points: Float[ndarray, "3 n"] = field(metadata=SHARED)
     cameras: tuple[CameraObservations, ...]
     is_rig_free: bool = True
+    terms: tuple[SharedTerm[BundleProblem, BundleEstimate], ...] = field(default=(), metadata=SHARED)
 
     @property
     def is_stereo(self) -> bool:
@@ -105,234 +208,155 @@ class BundleProblem:
         """Free parameters that all views share: intrinsics, then the rig's six."""
         return sum(int(c.is_free.sum()) for c in self.cameras) + (6 if self.is_stereo and self.is_rig_free else 0)
 
+    @property
+    def places(self) -> tuple[slice, ...]:
+        """Where each camera's free parameters stand among the shared unknowns."""
+        ends = np.cumsum([0, *(int(c.is_free.sum()) for c in self.cameras)])
+        return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BundleEstimate:
-    """A point in parameter space. The rig is None with a single camera."""
+    @property
+    def all_terms(self) -> tuple[SharedTerm[BundleProblem, BundleEstimate], ...]:
+        """The priors, those of the models too."""
+        return (MODEL_PRIOR, *self.terms) if any(c.model.has_prior for c in self.cameras) else self.terms
 
-    parameters: tuple[Float[ndarray, "*batch p"], ...]
-    T_left_board: SE3
-    """(*batch, views)"""
-    T_right_left: SE3 | None = None
+    def camera_poses(self, estimate: BundleEstimate) -> tuple[SE3, ...]:
+        """``T_camera_board`` of every view for each camera of the self."""
+        left, rig = estimate.T_left_board, estimate.T_right_left
+        if not self.is_stereo:
+            return (left,)
+        return left, SE3.unchecked(*compose_poses(rig.R, rig.t, left.R, left.t))
 
-    @classmethod
-    def of_rig(cls, rig: StereoRig, T_left_board: SE3) -> BundleEstimate:
-        """One rig with the board poses of every rig of a batch, (*batch, views)."""
-        batch, T = T_left_board.t.shape[:-2], rig.T_right_left
-        return cls(
-            tuple(np.broadcast_to(c.parameters, (*batch, len(c.parameters))) for c in (rig.left, rig.right)),
-            T_left_board,
-            SE3.unchecked(np.broadcast_to(T.R, (*batch, 3, 3)), np.broadcast_to(T.t, (*batch, 3))),
+    def residual_lengths2(self, estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views n"], ...]:
+        """Squared residual lengths of each camera, whitened where it has a whitening; 0 where not seen."""
+        poses = self.camera_poses(estimate)
+        lengths2 = []
+        for c, p, T in zip(self.cameras, estimate.parameters, poses, strict=True):
+            given = (p, T.R, T.t, self.object_points, c.pixels, c.is_seen, c.whitening)
+            is_compiled = c.model.is_compiled
+            lengths2.append(
+                squared_lengths(c.model.name, *given)
+                if is_compiled
+                else plain_equations.squared_lengths(c.model, *given)
+            )
+        return tuple(lengths2)
+
+    def noise_estimate_px(self, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
+        """Noise of one corner coordinate of each rig from the squared residual lengths of its cameras (MAD); floored."""
+        return robust.scale_of_median(median_lengths2(r2_px2, tuple(c.is_seen for c in self.cameras)))
+
+    def linearize(
+        self, estimate: BundleEstimate, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
+    ) -> BundleEquations:
+        """Residuals and normal equations of all cameras at an estimate."""
+        poses = self.camera_poses(estimate)
+        equations = []
+        for c, p, T in zip(self.cameras, estimate.parameters, poses, strict=True):
+            given = (p, T.R, T.t, self.object_points, c.pixels, c.is_seen, scale_px, kernel, c.is_free, c.whitening)
+            is_compiled = c.model.is_compiled
+            equations.append(
+                accumulate(c.model.name, *given) if is_compiled else plain_equations.accumulate(c.model, *given)
+            )
+        cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
+        energy = np.zeros(cost.shape)
+        for parameters in estimate.parameters:
+            has_focal = parameters[..., :2] > 0
+            if not has_focal.all():
+                cost = np.where(has_focal.all(axis=-1), cost, np.inf)
+        for term in self.all_terms:
+            energy = energy + term.energy(self, estimate)
+        scale_px = np.asarray(scale_px, dtype=float)
+        if scale_px.shape != cost.shape:
+            scale_px = np.broadcast_to(scale_px, cost.shape)
+        return BundleEquations(tuple(equations), cost + scale_px**2 * energy, energy, scale_px)
+
+    def solve_step(
+        self,
+        estimate: BundleEstimate,
+        equations: BundleEquations,
+        damping: Float[ndarray, "*batch"],
+        stretch: Float[ndarray, "*batch 2"] | None = None,
+        increment: Float[ndarray, "*batch 6"] | None = None,
+        pose_damping: Float[ndarray, "*batch"] | None = None,
+    ) -> BundleStep:
+        """Levenberg-Marquardt step with Marquardt's scaling (1963): the diagonal grows by the factor 1 + damping.
+
+        ``stretch`` multiplies the step of the rig's rotation and translation, ``increment`` takes its place; the board poses take
+        their best step beside it.
+        ``pose_damping``, if given, damps the board poses in place of ``damping``. NaN where the damped equations are singular (a rig
+        of the batch is degenerate).
+        """
+        growth = 1 + np.asarray(damping, dtype=float)
+        stretches = shifts = None
+        if stretch is not None:
+            stretches = np.ones((*growth.shape, self.n_shared))
+            stretches[..., -6:] = np.repeat(stretch, 3, axis=-1)
+        if increment is not None:
+            stretches, shifts = np.ones((*growth.shape, self.n_shared)), np.zeros((*growth.shape, self.n_shared))
+            stretches[..., -6:], shifts[..., -6:] = 0.0, increment
+        pose_growth = None if pose_damping is None else 1 + np.asarray(pose_damping, dtype=float)
+        return solve_steps(
+            **self._equations(estimate, equations),
+            growth=growth,
+            pose_growth=pose_growth,
+            stretch=stretches,
+            shift=shifts,
         )
 
+    def shared_information(self, estimate: BundleEstimate, equations: BundleEquations) -> Float[ndarray, "*batch s s"]:
+        """Information of the shared parameters for unit noise, all board poses free; weak priors count."""
+        return reduced_information(**self._equations(estimate, equations))
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BundleEquations:
-    """The problem linearised at an estimate.
+    def _equations(self, estimate: BundleEstimate, equations: BundleEquations) -> dict[str, Any]:
+        """What the kernel needs to know of the normal equations."""
+        prior = None
+        if terms := self.all_terms:
+            parts = [term.normal_equations(self, estimate) for term in terms]
+            weight = equations.scale_px[..., None] ** 2
+            prior = (weight[..., None] * sum(part[0] for part in parts), weight * sum(part[1] for part in parts))
+        return {
+            "grams": tuple(e.gram for e in equations.cameras),
+            "T_right_left": (estimate.T_right_left.R, estimate.T_right_left.t) if self.is_stereo else None,
+            "is_rig_free": self.is_rig_free,
+            "prior": prior,
+        }
 
-    Per-camera equations and the total robust cost (inf where the estimate is impossible).
+    def retract(self, estimate: BundleEstimate, step: BundleStep) -> BundleEstimate:
+        """The estimate moved by a step."""
+        parameters, column = [], 0
+        for camera, values in zip(self.cameras, estimate.parameters, strict=True):
+            free = np.flatnonzero(camera.is_free)
+            moved = values.copy()
+            moved[..., free] += step.shared[..., column : column + len(free)]
+            column += len(free)
+            parameters.append(moved)
+        views, rig = estimate.T_left_board, estimate.T_right_left
+        views = SE3.unchecked(*step_poses(views.R, views.t, step.views))
+        if self.is_stereo and self.is_rig_free:
+            rig = SE3.unchecked(*step_poses(rig.R, rig.t, step.shared[..., column:]))
+        return BundleEstimate(tuple(parameters), views, rig)
 
-    The cost includes ``prior_energy``, half the squared standardised distance from the models' weak priors, times the
-    squared ``scale_px`` that stands for the noise.
-    """
+    def straightened(self, estimate: BundleEstimate, step: BundleStep, bend: Float[ndarray, "*batch"]) -> BundleProblem:
+        """The problem as it looks from the estimate once the step is taken, projections followed to second order.
 
-    cameras: tuple[ViewEquations, ...]
-    cost_px2: Float[ndarray, "*batch"]
-    prior_energy: Float[ndarray, "*batch"]
-    scale_px: Float[ndarray, "*batch"]
+        Its residuals at ``estimate`` are those that the step leaves, so a second linear step from it corrects the first one
+        for the bending of the projections, and for corners that only the first step shows to be outliers. ``bend`` is the
+        share of the second order that counts.
 
-
-BundleStep = Steps
-"""A Newton-like step: shared parameters (free ones only, in order), view poses, and the predicted fall of the cost."""
-
-
-def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 6 6"]:
-    """Adjoint of a transform: a left step xi seen through T_a_b is the left step Ad xi after it."""
-    out = np.zeros((*R.shape[:-2], 6, 6))
-    out[..., :3, :3] = R
-    out[..., 3:, 3:] = R
-    out[..., 3:, :3] = so3.hat(t) @ R
-    return out
-
-
-def camera_poses(problem: BundleProblem, estimate: BundleEstimate) -> tuple[SE3, ...]:
-    """``T_camera_board`` of every view for each camera of the problem."""
-    left, rig = estimate.T_left_board, estimate.T_right_left
-    if not problem.is_stereo:
-        return (left,)
-    return left, SE3.unchecked(*compose_poses(rig.R, rig.t, left.R, left.t))
-
-
-def residual_lengths2(problem: BundleProblem, estimate: BundleEstimate) -> tuple[Float[ndarray, "*batch views n"], ...]:
-    """Squared residual lengths of each camera, whitened where it has a whitening; 0 where not seen."""
-    poses = camera_poses(problem, estimate)
-    return tuple(
-        squared_lengths(c.model.name, parameters, T.R, T.t, problem.object_points, c.pixels, c.is_seen, c.whitening)
-        if c.model.is_compiled
-        else plain_equations.squared_lengths(
-            c.model, parameters, T.R, T.t, problem.object_points, c.pixels, c.is_seen, c.whitening
-        )
-        for c, parameters, T in zip(problem.cameras, estimate.parameters, poses, strict=True)
-    )
-
-
-def noise_estimate_px(problem: BundleProblem, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
-    """Noise of one corner coordinate of each rig from the squared residual lengths of its cameras (MAD); floored."""
-    return robust.scale_of_median(median_lengths2(r2_px2, tuple(c.is_seen for c in problem.cameras)))
-
-
-def linearize(
-    problem: BundleProblem, estimate: BundleEstimate, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
-) -> BundleEquations:
-    """Residuals and normal equations of all cameras at an estimate."""
-    poses = camera_poses(problem, estimate)
-    equations = []
-    for c, parameters, T in zip(problem.cameras, estimate.parameters, poses, strict=True):
-        given = (
-            parameters,
-            T.R,
-            T.t,
-            problem.object_points,
-            c.pixels,
-            c.is_seen,
-            scale_px,
-            kernel,
-            c.is_free,
-            c.whitening,
-        )
-        is_compiled = c.model.is_compiled
-        equations.append(
-            accumulate(c.model.name, *given) if is_compiled else plain_equations.accumulate(c.model, *given)
-        )
-    cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
-    energy = np.zeros(cost.shape)
-    for camera, parameters in zip(problem.cameras, estimate.parameters, strict=True):
-        has_focal = parameters[..., :2] > 0
-        if not has_focal.all():
-            cost = np.where(has_focal.all(axis=-1), cost, np.inf)
-        if camera.model.has_prior:
-            energy = energy + 0.5 * (parameters**2 @ prior_precision(camera))
-    scale_px = np.asarray(scale_px, dtype=float)
-    if scale_px.shape != cost.shape:
-        scale_px = np.broadcast_to(scale_px, cost.shape)
-    return BundleEquations(tuple(equations), cost + scale_px**2 * energy, energy, scale_px)
-
-
-def cost_under(
-    equations: BundleEquations, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
-) -> Float[ndarray, "*batch"]:
-    """Robust cost of stored residuals under another scale of the kernel."""
-    total = scale_px**2 * equations.prior_energy
-    for e in equations.cameras:
-        total = total + robust_costs(e.r2_px2.reshape(*e.r2_px2.shape[:-2], -1), scale_px, kernel)
-    return np.where(np.isfinite(equations.cost_px2), total, np.inf)
-
-
-def prior_precision(camera: CameraObservations) -> Float[ndarray, "p"]:
-    """Precision of the weak prior on each parameter of a camera; 0 where there is none or the parameter is held."""
-    return np.where(camera.is_free, camera.model.prior_precision, 0.0)
-
-
-def solve_step(
-    problem: BundleProblem,
-    estimate: BundleEstimate,
-    equations: BundleEquations,
-    damping: Float[ndarray, "*batch"],
-    stretch: Float[ndarray, "*batch 2"] | None = None,
-    increment: Float[ndarray, "*batch 6"] | None = None,
-    pose_damping: Float[ndarray, "*batch"] | None = None,
-) -> BundleStep:
-    """Levenberg-Marquardt step with Marquardt's scaling (1963): the diagonal grows by the factor 1 + damping.
-
-    ``stretch`` multiplies the step of the rig's rotation and translation, ``increment`` takes its place; the board poses take
-    their best step beside it.
-    ``pose_damping``, if given, damps the board poses in place of ``damping``. NaN where the damped equations are singular (a rig
-    of the batch is degenerate).
-    """
-    growth = 1 + np.asarray(damping, dtype=float)
-    stretches = shifts = None
-    if stretch is not None:
-        stretches = np.ones((*growth.shape, problem.n_shared))
-        stretches[..., -6:] = np.repeat(stretch, 3, axis=-1)
-    if increment is not None:
-        stretches, shifts = np.ones((*growth.shape, problem.n_shared)), np.zeros((*growth.shape, problem.n_shared))
-        stretches[..., -6:], shifts[..., -6:] = 0.0, increment
-    pose_growth = None if pose_damping is None else 1 + np.asarray(pose_damping, dtype=float)
-    return solve_steps(
-        **_equations(problem, estimate, equations),
-        growth=growth,
-        pose_growth=pose_growth,
-        stretch=stretches,
-        shift=shifts,
-    )
-
-
-def shared_information(
-    problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations
-) -> Float[ndarray, "*batch s s"]:
-    """Information of the shared parameters for unit noise, all board poses free; weak priors count."""
-    return reduced_information(**_equations(problem, estimate, equations))
-
-
-def _equations(problem: BundleProblem, estimate: BundleEstimate, equations: BundleEquations) -> dict[str, Any]:
-    """What the kernel needs to know of the normal equations."""
-    prior = None
-    if any(c.model.has_prior for c in problem.cameras):
-        precision = [prior_precision(c)[c.is_free] for c in problem.cameras]
-        held = np.zeros(problem.n_shared - sum(len(own) for own in precision))
-        values = [p[..., c.is_free] for c, p in zip(problem.cameras, estimate.parameters, strict=True)]
-        batch = equations.scale_px.shape
-        own = np.concatenate([np.broadcast_to(v, (*batch, v.shape[-1])) for v in [*values, held]], axis=-1)
-        weight = equations.scale_px[..., None] ** 2 * np.concatenate([*precision, held])
-        prior = (weight[..., None] * np.eye(weight.shape[-1]), -weight * own)
-    return {
-        "grams": tuple(e.gram for e in equations.cameras),
-        "T_right_left": (estimate.T_right_left.R, estimate.T_right_left.t) if problem.is_stereo else None,
-        "is_rig_free": problem.is_rig_free,
-        "prior": prior,
-    }
-
-
-def retract(problem: BundleProblem, estimate: BundleEstimate, step: BundleStep) -> BundleEstimate:
-    """The estimate moved by a step."""
-    parameters, column = [], 0
-    for camera, values in zip(problem.cameras, estimate.parameters, strict=True):
-        free = np.flatnonzero(camera.is_free)
-        moved = values.copy()
-        moved[..., free] += step.shared[..., column : column + len(free)]
-        column += len(free)
-        parameters.append(moved)
-    views, rig = estimate.T_left_board, estimate.T_right_left
-    views = SE3.unchecked(*step_poses(views.R, views.t, step.views))
-    if problem.is_stereo and problem.is_rig_free:
-        rig = SE3.unchecked(*step_poses(rig.R, rig.t, step.shared[..., column:]))
-    return BundleEstimate(tuple(parameters), views, rig)
-
-
-def straightened(
-    problem: BundleProblem, estimate: BundleEstimate, step: BundleStep, bend: Float[ndarray, "*batch"]
-) -> BundleProblem:
-    """The problem as it looks from the estimate once the step is taken, projections followed to second order.
-
-    Its residuals at ``estimate`` are those that the step leaves, so a second linear step from it corrects the first one
-    for the bending of the projections, and for corners that only the first step shows to be outliers. ``bend`` is the
-    share of the second order that counts.
-
-    Source: Chebyshev's method; as geodesic acceleration in Transtrum & Sethna 2012, "Improvements to the
-    Levenberg-Marquardt algorithm". Here the corrected residuals are weighed anew.
-    """
-    cameras, column = [], 0
-    has_rig = problem.is_stereo and problem.is_rig_free
-    rig_step = step.shared[..., -6:] if has_rig else np.zeros((*step.shared.shape[:-1], 6))
-    for index, (camera, values) in enumerate(zip(problem.cameras, estimate.parameters, strict=True)):
-        moved = np.zeros(values.shape)
-        count = int(camera.is_free.sum())
-        moved[..., camera.is_free] = step.shared[..., column : column + count]
-        column += count
-        rig = (estimate.T_right_left.R, estimate.T_right_left.t, rig_step) if index == 1 else None
-        poses = (estimate.T_left_board.R, estimate.T_left_board.t, step.views)
-        pixels = pixels_behind(
-            camera.model.name, (values, moved), poses, rig, problem.object_points, camera.pixels, bend
-        )
-        cameras.append(replace(camera, pixels=pixels))
-    return replace(problem, cameras=tuple(cameras))
+        Source: Chebyshev's method; as geodesic acceleration in Transtrum & Sethna 2012, "Improvements to the
+        Levenberg-Marquardt algorithm". Here the corrected residuals are weighed anew.
+        """
+        cameras, column = [], 0
+        has_rig = self.is_stereo and self.is_rig_free
+        rig_step = step.shared[..., -6:] if has_rig else np.zeros((*step.shared.shape[:-1], 6))
+        for index, (camera, values) in enumerate(zip(self.cameras, estimate.parameters, strict=True)):
+            moved = np.zeros(values.shape)
+            count = int(camera.is_free.sum())
+            moved[..., camera.is_free] = step.shared[..., column : column + count]
+            column += count
+            rig = (estimate.T_right_left.R, estimate.T_right_left.t, rig_step) if index == 1 else None
+            poses = (estimate.T_left_board.R, estimate.T_left_board.t, step.views)
+            pixels = pixels_behind(
+                camera.model.name, (values, moved), poses, rig, self.object_points, camera.pixels, bend
+            )
+            cameras.append(replace(camera, pixels=pixels))
+        return replace(self, cameras=tuple(cameras))

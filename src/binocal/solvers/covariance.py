@@ -16,8 +16,6 @@ from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     CameraObservations,
-    linearize,
-    shared_information,
 )
 from binocal.solvers.least_squares import Minimum
 from binocal.solvers.whitening import CornerWeights
@@ -46,7 +44,7 @@ def shared_covariance(
     Raises:
         DegenerateGeometryError: The information matrix is singular.
     """
-    H = shared_information(problem, estimate, equations)
+    H = problem.shared_information(estimate, equations)
     scale = 1 / np.sqrt(np.maximum(np.diagonal(H), 1e-300))
     equilibrated = H * scale[:, None] * scale
     if not np.isfinite(equilibrated).all():
@@ -124,5 +122,5 @@ def cramer_rao_bound(
         cameras.append(CameraObservations(model, np.zeros((n_views, 2, n)), seen, is_free, whitening))
     problem = BundleProblem(np.ascontiguousarray(np.asarray(object_points_m, dtype=float).T), tuple(cameras))
     truth = BundleEstimate.of_rig(rig, T_left_board)
-    equations = linearize(problem, truth, np.asarray(noise_px), "squared")
+    equations = problem.linearize(truth, np.asarray(noise_px), "squared")
     return Covariance(shared_names(problem), shared_covariance(problem, truth, equations, noise_px))

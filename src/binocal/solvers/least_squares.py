@@ -18,12 +18,6 @@ from binocal.solvers.board_views import (
     BundleEquations,
     BundleEstimate,
     BundleProblem,
-    cost_under,
-    linearize,
-    noise_estimate_px,
-    residual_lengths2,
-    retract,
-    solve_step,
 )
 
 CLOSING_RATIO = 0.9  # the scale fell by more than this in a step: the kernel is still closing
@@ -85,11 +79,11 @@ def minimize(
     kernel = options.kernel
     batch = start.T_left_board.t.shape[:-2]
     if scale_px is None:
-        noise_px = noise_estimate_px(problem, residual_lengths2(problem, start))
+        noise_px = problem.noise_estimate_px(problem.residual_lengths2(start))
         scale = options.scale_factor * np.where(np.isfinite(noise_px), noise_px, 1.0)
     else:
         scale = np.broadcast_to(np.asarray(scale_px, dtype=float), batch).copy()
-    equations = linearize(problem, start, scale, kernel) if equations is None else equations
+    equations = problem.linearize(start, scale, kernel) if equations is None else equations
     estimate, cost = start, equations.cost_px2
     damping = np.full(batch, options.initial_damping)
     is_settled = np.zeros(batch, dtype=bool)
@@ -101,7 +95,7 @@ def minimize(
         if not is_running.any():
             break
         scale_before = scale
-        step = solve_step(problem, estimate, equations, damping)
+        step = problem.solve_step(estimate, equations, damping)
         step_px = np.sqrt(np.maximum(2 * step.predicted_px2, 0))
         is_exact = scale <= options.scale_factor * robust.SCALE_FLOOR_PX
         is_short = step_px < options.tolerance_sigma * scale * np.where(is_exact, 1e-4, 1.0)
@@ -110,15 +104,15 @@ def minimize(
         is_running &= ~arrived
         if not is_running.any():
             break
-        candidate = retract(problem, estimate, step)
+        candidate = problem.retract(estimate, step)
         if (
             is_closing
         ):  # a look ahead costs a quarter of an iteration and saves the one that would only close the kernel
-            ahead_px = options.scale_factor * noise_estimate_px(problem, residual_lengths2(problem, candidate))
+            ahead_px = options.scale_factor * problem.noise_estimate_px(problem.residual_lengths2(candidate))
             closer = np.where(is_running & (ahead_px < scale), ahead_px, scale)
-            cost = np.where(closer < scale, cost_under(equations, closer, kernel), cost)
+            cost = np.where(closer < scale, equations.cost_under(closer, kernel), cost)
             scale = closer
-        trial = linearize(problem, candidate, scale, kernel)
+        trial = problem.linearize(candidate, scale, kernel)
         n_iterations += is_running
         is_better = trial.cost_px2 < cost
         take = is_running & is_better
@@ -128,7 +122,7 @@ def minimize(
             estimate = choose_rigs(take, candidate, estimate)
             equations = choose_rigs(take, trial, equations)
         mad = np.maximum(
-            options.scale_factor * noise_estimate_px(problem, tuple(e.r2_px2 for e in equations.cameras)), 1e-300
+            options.scale_factor * problem.noise_estimate_px(tuple(e.r2_px2 for e in equations.cameras)), 1e-300
         )
         is_settled = (np.abs(mad - scale) < 0.01 * scale) | (kernel == "squared")
         is_closing = is_closing and bool(np.any(is_running & (mad < CLOSING_RATIO * scale_before)))
@@ -145,7 +139,7 @@ def minimize(
         changed = new_scale != scale
         if np.any(changed):
             scale = new_scale
-            cost = np.where(changed, cost_under(equations, scale, kernel), np.where(take, equations.cost_px2, cost))
+            cost = np.where(changed, equations.cost_under(scale, kernel), np.where(take, equations.cost_px2, cost))
         else:
             cost = np.where(take, equations.cost_px2, cost)
     return Minimum(estimate, equations, scale, kernel, n_iterations, is_converged, options)

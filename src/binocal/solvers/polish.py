@@ -18,9 +18,6 @@ from binocal.solvers.board_views import (
     BundleProblem,
     BundleStep,
     adjoint,
-    camera_poses,
-    linearize,
-    retract,
 )
 from binocal.solvers.least_squares import Minimum
 
@@ -52,13 +49,13 @@ def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
         ),
     )
     one = np.asarray(1.0)
-    estimate, cost = minimum.estimate, float(linearize(clean, minimum.estimate, one, "squared").cost_px2)
+    estimate, cost = minimum.estimate, float(clean.linearize(minimum.estimate, one, "squared").cost_px2)
     damping = 0.0
     for _ in range(MAX_STEPS):
         if cost < n_corners * ROUNDING_PX**2 or damping > MAX_DAMPING:
             break
-        candidate = retract(clean, estimate, _orthogonal_step(clean, estimate, damping))
-        trial = float(linearize(clean, candidate, one, "squared").cost_px2)
+        candidate = clean.retract(estimate, _orthogonal_step(clean, estimate, damping))
+        trial = float(clean.linearize(candidate, one, "squared").cost_px2)
         if trial < cost:
             estimate, cost = candidate, trial
             damping = damping / 10 if damping > LEAST_DAMPING else 0.0
@@ -69,7 +66,7 @@ def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
     return replace(
         minimum,
         estimate=estimate,
-        equations=linearize(problem, estimate, minimum.scale_px, minimum.kernel),
+        equations=problem.linearize(estimate, minimum.scale_px, minimum.kernel),
     )
 
 
@@ -78,7 +75,7 @@ def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate, damping: 
     n_shared = problem.n_shared
     shared, pose, residual = [], [], []
     column = 0
-    poses = camera_poses(problem, estimate)
+    poses = problem.camera_poses(estimate)
     for index, (camera, T) in enumerate(zip(problem.cameras, poses, strict=True)):
         J = unweighted_columns(
             camera.model.name,

@@ -17,9 +17,6 @@ from binocal.geometry import so3
 from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
-    noise_estimate_px,
-    residual_lengths2,
-    shared_information,
 )
 from binocal.solvers.controllers import Controller
 from binocal.solvers.least_squares import RESUMED_DAMPING, LoopOptions, Minimum, minimize
@@ -87,7 +84,7 @@ def minimize_steered(
     options = options or LoopOptions()
     noise_px = scale_px
     if noise_px is None:
-        noise_px = noise_estimate_px(problem, residual_lengths2(problem, start))
+        noise_px = problem.noise_estimate_px(problem.residual_lengths2(start))
         scale_px = options.scale_factor * noise_px
     if np.isfinite(noise_px) and noise_px < FAR_PX:  # near: no more is spent than without a controller
         return SteeredMinimum(problem, minimize(problem, start, options, scale_px=scale_px), (), "", start)
@@ -140,7 +137,7 @@ def _way_left_sigma(problem: BundleProblem, last: BundleEstimate, minimum: Minim
     goal = minimum.estimate
     turn = so3.log(last.T_right_left.R @ goal.T_right_left.R.T)
     shift = last.T_right_left.t - goal.T_right_left.t - np.cross(turn, goal.T_right_left.t)
-    information = shared_information(problem, goal, minimum.equations)
+    information = problem.shared_information(goal, minimum.equations)
     xi = np.concatenate([turn, shift])
     rig = np.linalg.inv(np.linalg.inv(information)[-6:, -6:])  # all other shared unknowns eliminated
     return float(np.sqrt(max(xi @ rig @ xi, 0.0)) / minimum.scale_px)

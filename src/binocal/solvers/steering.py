@@ -24,13 +24,6 @@ from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
     BundleStep,
-    cost_under,
-    linearize,
-    noise_estimate_px,
-    residual_lengths2,
-    retract,
-    solve_step,
-    straightened,
 )
 
 MAX_CORRECTION = 1.0  # of the step itself, in rotation: beyond, the series does not converge
@@ -94,12 +87,12 @@ def begin(
     Rigs whose start is impossible (a corner behind its camera) have an infinite cost.
     """
     if scale_px is None:
-        mad = noise_estimate_px(problem, residual_lengths2(problem, start))
+        mad = problem.noise_estimate_px(problem.residual_lengths2(start))
         mad = np.where(np.isfinite(mad), mad, 1.0)
     else:
         mad = np.broadcast_to(np.asarray(scale_px, dtype=float), start.T_left_board.t.shape[:-2]).copy()
-    equations = linearize(problem, start, mad, kernel)
-    newton = solve_step(problem, start, equations, np.zeros(mad.shape))
+    equations = problem.linearize(start, mad, kernel)
+    newton = problem.solve_step(start, equations, np.zeros(mad.shape))
     ones = np.ones(mad.shape)
     return LoopState(start, equations, newton, mad, mad, ones > 0, ones, mad, newton, start.T_left_board)
 
@@ -107,14 +100,14 @@ def begin(
 def advance(problem: BundleProblem, state: LoopState, action: Action, kernel: robust.Kernel) -> LoopState:
     """One iteration: a candidate is evaluated, and kept where it is possible and lowers the robust cost."""
     step = propose(problem, state, action, kernel)
-    candidate = _with_lost_views_restored(problem, state, retract(problem, state.estimate, step), kernel)
-    ahead = noise_estimate_px(problem, residual_lengths2(problem, candidate))
+    candidate = _with_lost_views_restored(problem, state, problem.retract(state.estimate, step), kernel)
+    ahead = problem.noise_estimate_px(problem.residual_lengths2(candidate))
     is_possible = np.isfinite(ahead) & np.isfinite(step.predicted_px2)
     mad = np.where(is_possible, ahead, state.mad_px)
     # the kernel may close as fast as the fit improves, and opens only when asked to
     scale = np.maximum(action.scale_factor * np.minimum(mad, state.mad_px), robust.SCALE_FLOOR_PX)
-    trial = linearize(problem, candidate, scale, kernel)
-    before = cost_under(state.equations, scale, kernel)
+    trial = problem.linearize(candidate, scale, kernel)
+    before = state.equations.cost_under(scale, kernel)
     is_kept = is_possible & (trial.cost_px2 < before)
     if is_kept.all():
         estimate, equations = candidate, trial
@@ -122,7 +115,7 @@ def advance(problem: BundleProblem, state: LoopState, action: Action, kernel: ro
         estimate = choose_rigs(is_kept, candidate, state.estimate)
         equations = choose_rigs(is_kept, trial, state.equations)
         scale, mad = np.where(is_kept, scale, state.scale_px), np.where(is_kept, mad, state.mad_px)
-    newton = solve_step(problem, estimate, equations, np.zeros(mad.shape)) if is_kept.any() else state.newton
+    newton = problem.solve_step(estimate, equations, np.zeros(mad.shape)) if is_kept.any() else state.newton
     gain = np.full(mad.shape, -1.0)
     fall = np.subtract(before, trial.cost_px2, out=np.zeros(mad.shape), where=is_kept)
     np.divide(fall, np.maximum(step.predicted_px2, 1e-30), out=gain, where=is_kept)
@@ -145,8 +138,7 @@ def propose(problem: BundleProblem, state: LoopState, action: Action, kernel: ro
     pose_damping = action.damping if action.pose_damping is None else action.damping + action.pose_damping
     step = state.newton
     if action.increment is not None or action.stretch is not None or np.any(pose_damping > 0):
-        step = solve_step(
-            problem,
+        step = problem.solve_step(
             state.estimate,
             state.equations,
             action.damping,
@@ -157,11 +149,11 @@ def propose(problem: BundleProblem, state: LoopState, action: Action, kernel: ro
     step = _limited(step)
     if action.bend is None or not np.any(action.bend > 0):
         return step
-    straight = straightened(problem, state.estimate, step, action.bend)
-    mad = noise_estimate_px(straight, residual_lengths2(straight, state.estimate))
+    straight = problem.straightened(state.estimate, step, action.bend)
+    mad = straight.noise_estimate_px(straight.residual_lengths2(state.estimate))
     scale = np.maximum(action.scale_factor * np.where(np.isfinite(mad), mad, state.mad_px), robust.SCALE_FLOOR_PX)
-    equations = linearize(straight, state.estimate, scale, kernel)
-    correction = solve_step(straight, state.estimate, equations, action.damping, pose_damping=pose_damping)
+    equations = straight.linearize(state.estimate, scale, kernel)
+    correction = straight.solve_step(state.estimate, equations, action.damping, pose_damping=pose_damping)
     longest = np.maximum(MAX_CORRECTION * _turn_rad(step), HARMLESS_TURN_RAD)
     is_sound = (action.bend > 0) & np.isfinite(correction.predicted_px2) & (_turn_rad(correction) <= longest)
     return replace(
