@@ -36,6 +36,7 @@ def values():
     corners = {"left_covariance_px2": covariance_px2, "right_covariance_px2": covariance_px2}
     return {
         "calibration": calibration(),
+        "prior": binocal.RigPrior.from_calibration(calibration(), held=("left",)),
         "board": parse_board("chessboard:9x6:30mm"),
         "found": not_found(4, "nothing"),
         "finding": finding("focal-length-uncertain", camera="left", sigma_percent=1.2),

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from binocal.formats.rig_json import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
     from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+    from binocal.solvers.prior import RigPrior
     from binocal.threads import set_threads
 
 # Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
@@ -65,6 +66,7 @@ _HOMES = {
     "binocal.formats.rig_json": ("read_calibration", "read_rig", "write_calibration"),
     "binocal.geometry": ("SE3",),
     "binocal.findings": ("Finding", "Severity"),
+    "binocal.solvers.prior": ("RigPrior",),
     "binocal.threads": ("set_threads",),
     "binocal.result": (
         "Covariance",
@@ -99,6 +101,7 @@ __all__ = [
     "PluginError",
     "RejectedView",
     "ResidualSummary",
+    "RigPrior",
     "Severity",
     "StereoCalibration",
     "StereoRig",

@@ -68,3 +68,17 @@ def test_projection_to_a_rotation_is_the_nearest_one_near_and_far():
         assert np.abs(so3.project_to_rotation(M) - U @ Vt).max() < 1e-14
     turned = so3.project_to_rotation(-R)  # a reflection is no rotation, however orthogonal
     assert np.allclose(np.linalg.det(turned), 1.0)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-4, 0.0099, 0.0101, 1.0, 3.1])
+def test_inverse_left_jacobian_is_the_slope_of_the_logarithm(angle_rad):
+    # central differences with h = 1e-6 leave 1e-9
+    rng = np.random.default_rng(0)
+    w = rng.standard_normal((4, 3))
+    w *= angle_rad / np.linalg.norm(w, axis=1, keepdims=True)
+    slopes = []
+    for i in range(3):
+        d = np.zeros(3)
+        d[i] = 1e-6
+        slopes.append((so3.log(so3.exp(d) @ so3.exp(w)) - so3.log(so3.exp(-d) @ so3.exp(w))) / 2e-6)
+    np.testing.assert_allclose(so3.inverse_left_jacobian(w), np.stack(slopes, axis=-1), atol=1e-8)

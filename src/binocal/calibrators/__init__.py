@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest, Calibrator, ProgressCallback, ShouldStop
 from binocal.calibrators.registry import CALIBRATORS, known_calibrators, load_calibrator
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
+
+if TYPE_CHECKING:
+    from binocal.solvers.prior import RigPrior
 
 __all__ = [
     "CALIBRATORS",
@@ -33,6 +37,7 @@ def calibrate(
     options: Mapping[str, Any] | None = None,
     progress: ProgressCallback | None = None,
     should_stop: ShouldStop | None = None,
+    prior: StereoCalibration | RigPrior | None = None,
 ) -> StereoCalibration:
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
@@ -40,15 +45,22 @@ def calibrate(
     views (the simplest that is not clearly worse). Skew is 0 unless ``skew``. With ``max_views`` only the views that tell
     most about depth are used, at most so many; ``provenance["view_choice"]`` says what that costs. ``options`` are the
     calibrator's own. ``progress(what, done, total)`` is called and ``should_stop()`` asked as the work goes on.
-    Same input and seed, same result.
+    ``prior`` is an earlier calibration of the rig: its covariance counts as information beside the corners. A
+    :class:`binocal.RigPrior` of it says what it informs of, and which parts are held exactly (known intrinsics:
+    ``RigPrior.from_calibration(earlier, held=("left", "right"))``). Same input and seed, same result.
 
     Raises:
-        ValueError: An option is unknown.
+        ValueError: An option is unknown, or the prior is about other cameras.
         DataError: The corners cannot be used.
         CalibrationError: No trustworthy rig follows from them; the text names the culprit.
         CancelledError: ``should_stop`` returned True.
     """
-    request = CalibrationRequest(model, skew, seed, max_views, options or {}, progress, should_stop)
+    known = None
+    if prior is not None:
+        from binocal.solvers.prior import RigPrior
+
+        known = prior if isinstance(prior, RigPrior) else RigPrior.from_calibration(prior)
+    request = CalibrationRequest(model, skew, seed, max_views, options or {}, progress, should_stop, known)
     return calibrate_as_requested(evidence, request, calibrator=calibrator)
 
 
@@ -83,7 +95,9 @@ def calibrate_as_requested(
 def calibrate_named_or_best_model(
     evidence: Detections, method: Calibrator, request: CalibrationRequest
 ) -> StereoCalibration:
-    """What the method makes of all of the evidence, with the model asked for or the best one."""
+    """What the method makes of all of the evidence, with the model asked for, the prior's, or the best one."""
+    if request.model == "auto" and request.prior is not None:
+        request = replace(request, model=request.prior.rig.left.model)
     if request.model == "auto":
         from binocal.calibrators.model_selection import calibrate_with_best_model
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from binocal.errors import CancelledError
 from binocal.evidence import Detections
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import StereoCalibration
+
+if TYPE_CHECKING:
+    from binocal.solvers.prior import RigPrior
 
 MIN_VIEWS = 3  # two views determine four intrinsics and leave nothing to check them with
 
@@ -21,6 +24,7 @@ class CalibrationRequest:
     ``model`` is a camera model's name, or ``auto``: the one with the least error on held-out views; a calibrator itself is
     only ever asked for a named one. ``seed`` feeds every random choice. With ``max_views`` only the views that tell most
     about depth are used, at most so many. ``options`` are the method's own; one that it does not know is an error.
+    ``prior`` is what is known of the rig before, part of it held exactly.
     """
 
     model: str = "auto"
@@ -30,6 +34,7 @@ class CalibrationRequest:
     options: Mapping[str, Any] = field(default_factory=dict)
     progress: ProgressCallback | None = None
     should_stop: ShouldStop | None = None
+    prior: RigPrior | None = None
 
     def __post_init__(self) -> None:
         if self.max_views is not None and self.max_views < MIN_VIEWS:

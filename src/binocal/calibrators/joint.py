@@ -189,6 +189,8 @@ def solve_with_misfit(
     own end, until the misfit stands. ``solve`` takes problem, start, and the damping to begin with.
     """
     plain = problem = joint_problem(views, request)
+    if request.prior is not None:
+        start = request.prior.with_held_values(start)
     minimum, n_iterations = solve(problem, start)
     misfit_px = 0.0
     for attempt in range(MISFIT_ROUNDS if views.has_covariances else 0):

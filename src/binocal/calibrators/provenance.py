@@ -23,6 +23,9 @@ def with_provenance(
     Versions and platform, calibrator, seed, the choices asked for (``options``), where the evidence comes from
     (``inputs``), the model and skew that were estimated, and what the method itself stated.
     """
+    options = {"model": request.model, "skew": request.skew, "max_views": request.max_views, **request.options}
+    if request.prior is not None:
+        options["prior"] = {"informs": list(request.prior.names), "held": list(request.prior.held)}
     provenance = {
         "binocal": __version__,
         "python": platform.python_version(),
@@ -30,7 +33,7 @@ def with_provenance(
         "platform": platform.platform(),
         "calibrator": calibrator,
         "seed": request.seed,
-        "options": {"model": request.model, "skew": request.skew, "max_views": request.max_views, **request.options},
+        "options": options,
         **inputs,
         "model": calibration.rig.left.model,
         "skew": request.skew,

@@ -34,15 +34,23 @@ from binocal.solvers.whitening import CornerWeights
 def joint_problem(
     views: Detections, request: CalibrationRequest, weights: CornerWeights | None = None
 ) -> BundleProblem:
-    """The joint problem of these views. All corners count alike without ``weights``."""
+    """The joint problem of these views, with the request's prior. All corners count alike without ``weights``.
+
+    Raises:
+        ValueError: The prior is about other cameras.
+    """
     model, weights = camera_model(request.model), weights or CornerWeights()
-    return BundleProblem(
+    problem = BundleProblem(
         np.ascontiguousarray(views.object_points_m.T),
         tuple(
             CameraObservations.from_corners(model, px, skew=request.skew, whitening=whitening)
             for px, whitening in ((views.left_px, weights.left), (views.right_px, weights.right))
         ),
     )
+    if request.prior is None:
+        return problem
+    request.prior.check(request.model, (views.left_size_wh, views.right_size_wh), is_metric=views.is_metric)
+    return request.prior.applied(problem)
 
 
 def plain_lengths2(problem: BundleProblem, minimum: Minimum) -> tuple[Float[ndarray, "views n"], ...]:

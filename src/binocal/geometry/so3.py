@@ -57,6 +57,20 @@ def log(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
     return q[..., 1:] * scale[..., None]
 
 
+def inverse_left_jacobian(rotation_vector_rad: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+    """How a rotation vector changes where its rotation is turned from the left: d log(exp(d) exp(w)) / dd at d = 0.
+
+    Source: Solà et al. 2018, "A micro Lie theory", eq. 146; a Taylor series below 0.01 rad. Not defined at 2 pi.
+    """
+    w = np.asarray(rotation_vector_rad, dtype=float)
+    theta2 = np.sum(w * w, axis=-1)
+    is_small = theta2 < 1e-4  # the series' next term, theta^4 / 30240, is below 1e-12 there
+    safe = np.sqrt(np.where(is_small, 1.0, theta2))
+    b = np.where(is_small, 1 / 12 + theta2 / 720, 1 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe)))
+    W = hat(w)
+    return np.eye(3) - 0.5 * W + b[..., None, None] * (W @ W)
+
+
 def angle_rad(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch"]:
     """Rotation angle in [0, pi], exact near both ends."""
     return np.linalg.norm(log(R), axis=-1)

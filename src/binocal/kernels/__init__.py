@@ -339,6 +339,30 @@ def reduced_information(
     return reduced
 
 
+def reduced_equations(
+    grams: tuple[Float[ndarray, "*batch views q q"], ...],
+    T_right_left: tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]] | None,
+    growth: Float[ndarray, "*batch"],
+    *,
+    pose_growth: Float[ndarray, "*batch"] | None = None,
+    is_rig_free: bool = True,
+    prior: tuple[Float[ndarray, "*batch s s"], Float[ndarray, "*batch s"]] | None = None,
+) -> tuple[Float[ndarray, "*batch s s"], Float[ndarray, "*batch s"]]:
+    """The damped equations of the shared unknowns alone, board poses eliminated, as :func:`solve_steps` solves them.
+
+    For callers who hold combinations of unknowns. NaN for a rig whose equations are singular.
+    """
+    *batch, n_views, _, _ = grams[0].shape
+    s = _n_shared(grams, is_rig_free)
+    reduced, gradient = np.empty((*batch, s, s)), np.empty((*batch, s))
+    unused = (np.empty((*batch, s)), np.empty((*batch, n_views, 6)), np.empty(batch))
+    growths = (growth, growth if pose_growth is None else pose_growth)
+    _solve(
+        grams, T_right_left, growths, is_rig_free, prior, (None, None), (*unused, reduced, gradient, np.empty(batch))
+    )
+    return reduced, gradient
+
+
 _NOTHING = np.empty(0)
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy import ndarray
@@ -28,6 +28,7 @@ from binocal.kernels import (
     compose_poses,
     median_lengths2,
     pixels_behind,
+    reduced_equations,
     reduced_information,
     robust_costs,
     solve_steps,
@@ -180,12 +181,14 @@ MODEL_PRIOR = ModelPrior()
 class BundleProblem:
     """The measurements: one or two cameras that saw the same views of the board (:class:`binocal.solvers.problem.Problem`).
 
-    ``terms`` are priors on the shared unknowns, beside the weak ones of the cameras' models.
+    ``held_part`` of ``T_right_left`` does not move although the rig is free. ``terms`` are priors on the shared unknowns, beside
+    the weak ones of the cameras' models.
     """
 
     object_points: Float[ndarray, "3 n"] = field(metadata=SHARED)
     cameras: tuple[CameraObservations, ...]
     is_rig_free: bool = True
+    held_part: Literal["rotation", "translation"] | None = None
     terms: tuple[SharedTerm[BundleProblem, BundleEstimate], ...] = field(default=(), metadata=SHARED)
 
     @property
@@ -207,6 +210,28 @@ class BundleProblem:
     def n_shared(self) -> int:
         """Free parameters that all views share: intrinsics, then the rig's six."""
         return sum(int(c.is_free.sum()) for c in self.cameras) + (6 if self.is_stereo and self.is_rig_free else 0)
+
+    @property
+    def n_free(self) -> int:
+        """The same less what is held of the rig: the shared unknowns that measurements pay for."""
+        return self.n_shared - (3 if self.held_part else 0)
+
+    def free_directions(self, estimate: BundleEstimate) -> Float[ndarray, "*batch s k"] | None:
+        """Columns that span the shared steps which move nothing that is held; None where nothing is.
+
+        A left step (omega, tau) of the rig moves its translation by tau + omega x t.
+        """
+        if self.held_part is None:
+            return None
+        s, T = self.n_shared, estimate.T_right_left
+        directions = np.zeros((*estimate.batch, s, s - 3))
+        directions[..., np.arange(s - 6), np.arange(s - 6)] = 1.0
+        if self.held_part == "rotation":
+            directions[..., -3:, -3:] = np.eye(3)
+        else:
+            directions[..., -6:-3, -3:] = np.eye(3)
+            directions[..., -3:, -3:] = so3.hat(T.t)
+        return directions
 
     @property
     def places(self) -> tuple[slice, ...]:
@@ -294,8 +319,12 @@ class BundleProblem:
             stretches, shifts = np.ones((*growth.shape, self.n_shared)), np.zeros((*growth.shape, self.n_shared))
             stretches[..., -6:], shifts[..., -6:] = 0.0, increment
         pose_growth = None if pose_damping is None else 1 + np.asarray(pose_damping, dtype=float)
+        kernels_equations = self._equations(estimate, equations)
+        if (directions := self.free_directions(estimate)) is not None:
+            reduced, gradient = reduced_equations(**kernels_equations, growth=growth, pose_growth=pose_growth)
+            stretches, shifts = np.zeros(gradient.shape), _step_along(directions, reduced, gradient)
         return solve_steps(
-            **self._equations(estimate, equations),
+            **kernels_equations,
             growth=growth,
             pose_growth=pose_growth,
             stretch=stretches,
@@ -303,8 +332,11 @@ class BundleProblem:
         )
 
     def shared_information(self, estimate: BundleEstimate, equations: BundleEquations) -> Float[ndarray, "*batch s s"]:
-        """Information of the shared parameters for unit noise, all board poses free; weak priors count."""
-        return reduced_information(**self._equations(estimate, equations))
+        """Information of the shared parameters for unit noise, all board poses free; priors count."""
+        information = reduced_information(**self._equations(estimate, equations))
+        if (directions := self.free_directions(estimate)) is not None:
+            information = directions.swapaxes(-1, -2) @ information @ directions
+        return information
 
     def _equations(self, estimate: BundleEstimate, equations: BundleEquations) -> dict[str, Any]:
         """What the kernel needs to know of the normal equations."""
@@ -332,7 +364,10 @@ class BundleProblem:
         views, rig = estimate.T_left_board, estimate.T_right_left
         views = SE3.unchecked(*step_poses(views.R, views.t, step.views))
         if self.is_stereo and self.is_rig_free:
-            rig = SE3.unchecked(*step_poses(rig.R, rig.t, step.shared[..., column:]))
+            R, t = step_poses(rig.R, rig.t, step.shared[..., column:])
+            rig = SE3.unchecked(
+                rig.R if self.held_part == "rotation" else R, rig.t if self.held_part == "translation" else t
+            )
         return BundleEstimate(tuple(parameters), views, rig)
 
     def straightened(self, estimate: BundleEstimate, step: BundleStep, bend: Float[ndarray, "*batch"]) -> BundleProblem:
@@ -360,3 +395,19 @@ class BundleProblem:
             )
             cameras.append(replace(camera, pixels=pixels))
         return replace(self, cameras=tuple(cameras))
+
+
+def _step_along(
+    directions: Float[ndarray, "*batch s k"],
+    reduced: Float[ndarray, "*batch s s"],
+    gradient: Float[ndarray, "*batch s"],
+) -> Float[ndarray, "*batch s"]:
+    """The step that solves the equations within the directions; NaN where they are singular there."""
+    A = directions.swapaxes(-1, -2) @ reduced @ directions
+    b = (directions.swapaxes(-1, -2) @ gradient[..., None])[..., 0]
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(A, axis1=-2, axis2=-1), 1e-300))
+    try:
+        x = np.linalg.solve(A * scale[..., None] * scale[..., None, :], (scale * b)[..., None])[..., 0]
+    except np.linalg.LinAlgError:  # one rig is enough
+        x = np.full(b.shape, np.nan)
+    return (directions @ (scale * x)[..., None])[..., 0]

@@ -29,7 +29,8 @@ def shared_names(problem: BundleProblem) -> tuple[str, ...]:
     for side, camera in zip(("left", "right"), problem.cameras, strict=False):
         names += [f"{side}.{n}" for n, free in zip(camera.model.parameter_names, camera.is_free, strict=True) if free]
     if problem.is_stereo and problem.is_rig_free:
-        names += [f"{part}.{axis}" for part in ("rotation", "translation") for axis in "xyz"]
+        parts = [part for part in ("rotation", "translation") if part != problem.held_part]
+        names += [f"{part}.{axis}" for part in parts for axis in "xyz"]
     return tuple(names)
 
 
@@ -38,13 +39,15 @@ def shared_covariance(
 ) -> Float[ndarray, "s s"]:
     """Covariance of the shared parameters of one rig, all board poses free, translation stepped additively.
 
-    Weak priors of the models count as information, as they did in the estimate.
+    Priors count as information, as they did in the estimate. Nothing is left of a problem in which everything is held.
     The solver's left step moves the translation by tau + omega x t; the covariance is that of t itself.
 
     Raises:
         DegenerateGeometryError: The information matrix is singular.
     """
     H = problem.shared_information(estimate, equations)
+    if H.shape[-1] == 0:
+        return H
     scale = 1 / np.sqrt(np.maximum(np.diagonal(H), 1e-300))
     equilibrated = H * scale[:, None] * scale
     if not np.isfinite(equilibrated).all():
@@ -55,7 +58,7 @@ def shared_covariance(
         names = [shared_names(problem)[i] for i in np.argsort(-weakest)[:3]]
         raise refusal(finding("parameters-undetermined", parameters=", ".join(names)))
     inverse = (vectors / values) @ vectors.T * scale[:, None] * scale * noise_px**2
-    if problem.is_stereo and problem.is_rig_free:
+    if problem.is_stereo and problem.is_rig_free and problem.held_part is None:
         to_additive = np.eye(len(inverse))
         to_additive[-3:, -6:-3] = -so3.hat(estimate.T_right_left.t)
         inverse = to_additive @ inverse @ to_additive.T
@@ -73,7 +76,7 @@ def residual_noise_px(
     used = inliers(problem, minimum) if used is None else used
     n_used = sum(int(is_inlier.sum()) for is_inlier in used)
     n_views = int(np.logical_or.reduce([is_inlier.any(axis=-1) for is_inlier in used]).sum())
-    freedom = 2 * n_used - 6 * n_views - problem.n_shared
+    freedom = 2 * n_used - 6 * n_views - problem.n_free
     if freedom <= 0:
         raise refusal(finding("too-few-measurements"))
     return float(np.sqrt(weighted / freedom))

@@ -43,6 +43,7 @@ def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
     ]
     clean = replace(
         problem,
+        terms=(),
         cameras=tuple(
             replace(c, is_seen=seen, model=replace(c.model, prior_sigma=math.inf), whitening=None)
             for c, seen in zip(problem.cameras, inlier, strict=True)
@@ -100,18 +101,24 @@ def _orthogonal_step(problem: BundleProblem, estimate: BundleEstimate, damping: 
         pose.append(J_pose)
         residual.append(J[:, -1:])
     A = np.concatenate(shared, axis=-1).swapaxes(-1, -2)
+    directions = problem.free_directions(estimate)
+    if directions is not None:
+        A = A @ directions
     B = np.concatenate(pose, axis=-1).swapaxes(-1, -2)
     r = np.concatenate(residual, axis=-1).swapaxes(-1, -2)
     Q, R_pose = np.linalg.qr(B)
     rest = np.concatenate([A, r], axis=-1)
     for _ in range(2):  # twice is enough: the second pass removes what rounding left in the first
         rest = rest - Q @ (Q.swapaxes(-1, -2) @ rest)
-    flat = rest.reshape(-1, n_shared + 1)
+    n_unknown = A.shape[-1]
+    flat = rest.reshape(-1, n_unknown + 1)
     size = np.linalg.norm(flat, axis=0)
     size[size == 0] = 1.0
-    damped = np.concatenate([flat[:, :-1] / size[:-1], np.sqrt(damping) * np.eye(n_shared)])
-    step, *_ = np.linalg.lstsq(damped, np.concatenate([flat[:, -1], np.zeros(n_shared)]), rcond=None)
+    damped = np.concatenate([flat[:, :-1] / size[:-1], np.sqrt(damping) * np.eye(n_unknown)])
+    step, *_ = np.linalg.lstsq(damped, np.concatenate([flat[:, -1], np.zeros(n_unknown)]), rcond=None)
     step = step / size[:-1]
     views = np.linalg.solve(R_pose, Q.swapaxes(-1, -2) @ (r - A @ step[:, None]))[..., 0]
+    if directions is not None:
+        step = directions @ step
     unknown = np.asarray(np.nan)
     return BundleStep(step, views, unknown, np.full(n_shared, np.nan), unknown)
