@@ -14,7 +14,7 @@ from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import Policy, shipped_policy
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.simulation.corruptions import flip_view
-from binocal.solvers import steered
+from binocal.solvers import controlled
 
 BOARD = parse_board("chessboard:11x8:20mm")
 REQUEST = CalibrationRequest("brown4")
@@ -30,8 +30,8 @@ def make_detections(seed=0, *, outlier_share=0.0, n_views=12, noise_px=0.2):
 @pytest.fixture
 def always_led(monkeypatch):
     """The agent leads from every start, near ones too."""
-    monkeypatch.setattr(steered, "FAR_PX", 0.0)
-    monkeypatch.setattr(steered, "FAR_TURN_RAD", 0.0)
+    monkeypatch.setattr(controlled, "FAR_PX", 0.0)
+    monkeypatch.setattr(controlled, "FAR_TURN_RAD", 0.0)
 
 
 def with_weights(change):
@@ -69,15 +69,15 @@ def test_weights_that_are_not_numbers_hand_over_and_say_so(always_led):
     detections = make_detections(1)
     broken = calibrate_with_policy(detections, REQUEST, with_weights(lambda a: a * np.nan))
     assert largest_difference_sigma(binocal.calibrate(detections, calibrator="lm", model="brown4"), broken) < 0.01
-    assert any("not finite" in solve["handed_over"] for solve in broken.provenance["agent"]["solves"])
+    assert any("not finite" in solve["fallback_reason"] for solve in broken.provenance["agent"]["solves"])
 
 
 def test_the_result_tells_what_the_agent_did(always_led):
     agent = binocal.calibrate(make_detections(2), model="brown4").provenance["agent"]
-    led = [iteration for solve in agent["solves"] for iteration in solve["iterations"]]
-    assert agent["iterations"] == len(led) > 0
+    iterations = [iteration for solve in agent["solves"] for iteration in solve["iterations"]]
+    assert agent["iterations"] == len(iterations) > 0
     names = {"damping", "pose_damping", "scale_factor", "rotation_stretch", "translation_stretch", "bend"}
-    assert names < set(led[0]) and led[0]["decrement_sigma"] > 3
+    assert names < set(iterations[0]) and iterations[0]["decrement_sigma"] > 3
     assert all(solve["remaining_sigma"] >= 0 for solve in agent["solves"])
 
 

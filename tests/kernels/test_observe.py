@@ -7,7 +7,7 @@ import pytest
 from test_step import make_problem
 
 from binocal.kernels import LastIteration, observe
-from binocal.solvers.steering import OBSERVED
+from binocal.solvers.observation import OBSERVED
 
 BIN = 1 / 16  # of an octave of length: what a quantile may be off
 

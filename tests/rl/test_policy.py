@@ -10,7 +10,7 @@ from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import ConstantController, LearnedController, Policy, load_policy, save_policy, shipped_policy
 from binocal.rl.rig_batches import RIG_SETS, sample_rigs, sample_starts
 from binocal.rl.task import KERNEL, observation_names
-from binocal.solvers.steering import advance, begin
+from binocal.solvers.loop import advance, begin
 
 
 def make_policy(scale=0.3, kind=AgentKind.DRL, seed=0):

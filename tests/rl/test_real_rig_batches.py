@@ -13,7 +13,7 @@ from binocal.rl.real_rig_batches import network_widths, rigs_from_calibration, t
 from binocal.rl.rig_batches import distance_sigma, remaining_sigma, sample_starts
 from binocal.rl.task import KERNEL, initial, transition
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
-from binocal.solvers.steering import begin
+from binocal.solvers.loop import begin
 
 BOARD = parse_board("chessboard:11x8:20mm")
 

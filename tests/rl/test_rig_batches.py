@@ -11,7 +11,7 @@ from binocal.geometry import SE3, so3
 from binocal.rl import rig_batches as module
 from binocal.rl.rig_batches import RIG_SETS, distance_sigma, sample_rigs, sample_starts
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.steering import begin
+from binocal.solvers.loop import begin
 
 FEW_VIEWS = replace(RIG_SETS["standard"], n_views=8)
 

@@ -26,7 +26,8 @@ from binocal.rl.task import (
     transition,
 )
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.steering import Action, advance
+from binocal.solvers.loop import advance
+from binocal.solvers.loop_state import Action
 
 KINDS = (AgentKind.DRL, AgentKind.DRL_INCREMENTS)
 

@@ -28,9 +28,9 @@ from binocal.rl.rig_batches import RIG_SETS, SIZE_WH, RigBatch, corrupt_corners
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections
 from binocal.solvers.arrays import take_rigs
 from binocal.solvers.board_views import BundleEstimate, BundleProblem
-from binocal.solvers.controllers import Controller
-from binocal.solvers.least_squares import Minimum, minimize
-from binocal.solvers.steered import minimize_steered
+from binocal.solvers.controlled import minimize_controlled
+from binocal.solvers.loop import Minimum, minimize
+from binocal.solvers.loop_state import Controller
 
 N_TIMED = 200
 N_JOINT = 60
@@ -186,7 +186,7 @@ def _time_solves(name: str, controllers: dict[str, Controller], seed: int) -> di
 
 
 def _solve_led(controller: Controller, problem: BundleProblem, start: BundleEstimate) -> Minimum:
-    return minimize_steered(problem, start, controller).minimum
+    return minimize_controlled(problem, start, controller).minimum
 
 
 def _one(rigs: RigBatch, start: BundleEstimate, index: int) -> tuple[BundleProblem, BundleEstimate]:

@@ -27,7 +27,7 @@ from binocal.shapes import Float
 from binocal.solvers import robust
 from binocal.solvers.board_views import BundleEstimate, BundleProblem
 from binocal.solvers.covariance import inliers
-from binocal.solvers.least_squares import RESUMED_DAMPING, START_DAMPING, LoopOptions, Minimum, minimize
+from binocal.solvers.loop import RESUMED_DAMPING, START_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.polish import polish_exact
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
@@ -39,7 +39,7 @@ MISFIT_SHARE = 0.1  # of the noise variance; less changes the weights by too lit
 
 @runtime_checkable
 class Minimizer(Protocol):
-    """What finds a robust minimum near a start, as :func:`binocal.solvers.least_squares.minimize` does."""
+    """What finds a robust minimum near a start, as :func:`binocal.solvers.loop.minimize` does."""
 
     def __call__(
         self,

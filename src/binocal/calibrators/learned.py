@@ -1,6 +1,6 @@
 """``drl`` and ``drl-increments``: the joint solve, its steps chosen by a trained agent while it is far from the optimum.
 
-The agent decides how the solver walks, never where it ends: see :mod:`binocal.solvers.steered` for the guards. What it did is
+The agent decides how the solver steps, never where it ends: see :mod:`binocal.solvers.controlled` for the guards. What it did is
 report in the result's provenance.
 """
 
@@ -19,15 +19,15 @@ from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
 from binocal.shapes import Float
 from binocal.solvers.board_views import BundleEstimate, BundleProblem
-from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
-from binocal.solvers.steered import SteeredMinimum, minimize_steered
+from binocal.solvers.controlled import ControlledMinimum, minimize_controlled
+from binocal.solvers.loop import LoopOptions, Minimum, minimize
 
 if TYPE_CHECKING:
     from numpy import ndarray
 
 
 def calibrate_drl(evidence: Detections, request: CalibrationRequest) -> StereoCalibration:
-    """The shipped agent steers the solver (see :class:`binocal.calibrators.base.Calibrator`)."""
+    """The shipped agent chooses how the solver steps (see :class:`binocal.calibrators.base.Calibrator`)."""
     return calibrate_with_policy(evidence, request, shipped_policy(AgentKind.DRL))
 
 
@@ -47,16 +47,16 @@ def calibrator_of_weights(path: str | Path) -> Calibrator:
 
 def calibrate_with_policy(evidence: Detections, request: CalibrationRequest, policy: Policy) -> StereoCalibration:
     """Calibration with any policy; the answer is that of ``lm`` whatever the policy's weights are."""
-    minimizer = _SteeredMinimizer(policy)
+    minimizer = _ControlledMinimizer(policy)
     calibration = calibrate_jointly(evidence, request, minimizer=minimizer)
     return replace(calibration, provenance={**calibration.provenance, "agent": minimizer.report()})
 
 
-class _SteeredMinimizer:
+class _ControlledMinimizer:
     """A minimiser that remembers what the agent did; one for each calibration."""
 
     def __init__(self, policy: Policy) -> None:
-        self.controller, self.solves = LearnedController(policy), list[SteeredMinimum]()
+        self.controller, self.solves = LearnedController(policy), list[ControlledMinimum]()
 
     def __call__(
         self,
@@ -68,19 +68,19 @@ class _SteeredMinimizer:
     ) -> Minimum:
         if options is not None and options.kernel != "hampel":
             return minimize(problem, start, options, scale_px=scale_px)
-        solve = minimize_steered(problem, start, self.controller, options, scale_px=scale_px)
+        solve = minimize_controlled(problem, start, self.controller, options, scale_px=scale_px)
         self.solves.append(solve)
         return solve.minimum
 
     def report(self) -> dict[str, Any]:
         """What the agent did in each solve: its iterations, whether a guard took over, what was left to the classical tail."""
         return {
-            "iterations": sum(len(solve.led) for solve in self.solves),
+            "iterations": sum(len(solve.controlled) for solve in self.solves),
             "solves": [
                 {
-                    "iterations": [asdict(iteration) for iteration in solve.led],
-                    "tail_iterations": int(solve.minimum.n_iterations) - len(solve.led),
-                    "handed_over": solve.handed_over,
+                    "iterations": [asdict(iteration) for iteration in solve.controlled],
+                    "classical_iterations": int(solve.minimum.n_iterations) - len(solve.controlled),
+                    "fallback_reason": solve.fallback_reason,
                     "remaining_sigma": solve.remaining_sigma,
                 }
                 for solve in self.solves

@@ -27,7 +27,7 @@ from binocal.result import (
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
 from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
-from binocal.solvers.least_squares import Minimum
+from binocal.solvers.loop import Minimum
 from binocal.solvers.whitening import CornerWeights
 
 

@@ -62,12 +62,12 @@ def _agent_lines(calibration: StereoCalibration) -> list[str]:
     agent = calibration.provenance.get("agent")
     if not agent:
         return []
-    led, all_of_them = agent["iterations"], calibration.n_iterations
-    if not led and not any(solve["handed_over"] for solve in agent["solves"]):
+    n_controlled, n_all = agent["iterations"], calibration.n_iterations
+    if not n_controlled and not any(solve["fallback_reason"] for solve in agent["solves"]):
         return ["Agent    not needed: the start was near enough for plain steps"]
-    left = max((solve["remaining_sigma"] for solve in agent["solves"]), default=0.0)
-    guards = sorted({solve["handed_over"] for solve in agent["solves"] if solve["handed_over"]})
-    line = f"Agent    led {led} of {all_of_them} iterations, to {left:.2g} sigma from the classical optimum, which the rest reached"
+    remaining = max((solve["remaining_sigma"] for solve in agent["solves"]), default=0.0)
+    guards = sorted({solve["fallback_reason"] for solve in agent["solves"] if solve["fallback_reason"]})
+    line = f"Agent    controlled {n_controlled} of {n_all} iterations, to {remaining:.2g} sigma from the optimum, which the others reached"
     return [line, *(f"         a guard took over: {one_line(guard)}" for guard in guards)]
 
 

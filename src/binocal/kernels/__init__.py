@@ -161,7 +161,7 @@ def observe(
     t_left_board: Float[ndarray, "*batch views 3"],
     last: LastIteration,
 ) -> Float[ndarray, "*batch f"]:
-    """Scale-free numbers of two cameras' residuals and of the next step; :mod:`binocal.solvers.steering` names them."""
+    """Scale-free numbers of two cameras' residuals and of the next step; :mod:`binocal.solvers.observation` names them."""
     batch = mad_px.shape
     n_rigs = math.prod(batch)
     out = np.empty((*batch, _kernel.N_OBSERVED))

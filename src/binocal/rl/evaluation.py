@@ -21,8 +21,9 @@ from binocal.rl.task import KERNEL, n_actions
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.arrays import take_rigs
 from binocal.solvers.board_views import BundleEstimate
-from binocal.solvers.controllers import Controller, Marquardt, Nielsen, Schedule
-from binocal.solvers.steering import advance, begin
+from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
+from binocal.solvers.loop import advance, begin
+from binocal.solvers.loop_state import Controller
 
 if TYPE_CHECKING:
     from binocal.rl.policy import Policy

@@ -25,8 +25,7 @@ from binocal.rl.task import (
 )
 from binocal.shapes import Float
 from binocal.solvers.board_views import BundleProblem
-from binocal.solvers.controllers import Memory
-from binocal.solvers.steering import Action, LoopState
+from binocal.solvers.loop_state import Action, LoopState, Memory
 
 SHIPPED = {AgentKind.DRL: "drl.safetensors", AgentKind.DRL_INCREMENTS: "drl_increments.safetensors"}
 LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps
@@ -58,7 +57,7 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class LearnedController:
-    """A policy as a controller of the robust loop (:class:`binocal.solvers.controllers.Controller`)."""
+    """A policy as a controller of the robust loop (:class:`binocal.solvers.loop_state.Controller`)."""
 
     policy: Policy
 

@@ -22,8 +22,8 @@ from binocal.solvers.board_views import (
     BundleProblem,
     CameraObservations,
 )
-from binocal.solvers.least_squares import LoopOptions, minimize
-from binocal.solvers.steering import LoopState
+from binocal.solvers.loop import LoopOptions, minimize
+from binocal.solvers.loop_state import LoopState
 
 MODEL = "brown4"
 SIZE_WH = (1280, 960)

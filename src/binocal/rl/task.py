@@ -15,7 +15,9 @@ from numpy import ndarray
 from binocal.rl.agent_kind import AgentKind
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.board_views import BundleEstimate, BundleProblem
-from binocal.solvers.steering import OBSERVED, Action, LoopState, advance, begin, observe
+from binocal.solvers.loop import advance, begin
+from binocal.solvers.loop_state import Action, LoopState
+from binocal.solvers.observation import OBSERVED, observe
 
 KERNEL = "hampel"
 

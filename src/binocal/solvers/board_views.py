@@ -37,8 +37,13 @@ from binocal.kernels import (
 )
 from binocal.shapes import Bool, Float
 from binocal.solvers import plain_equations, robust
-from binocal.solvers.arrays import SHARED
+from binocal.solvers.arrays import SHARED, choose_rigs
 from binocal.solvers.problem import SharedTerm
+
+MAX_CORRECTION = 1.0  # of the step itself, in rotation: beyond, the series does not converge
+HARMLESS_TURN_RAD = 0.02  # a correction below this needs no such check
+LOST_SHARE = 0.9  # of the cost that a view has when none of its left corners carries weight
+LONGEST_TURN_RAD = 1.5  # a linear step that turns a camera further has lost all meaning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -395,6 +400,43 @@ class BundleProblem:
             )
             cameras.append(replace(camera, pixels=pixels))
         return replace(self, cameras=tuple(cameras))
+
+    def limited(self, step: BundleStep) -> BundleStep:
+        """The step, shortened where it would turn the rig by more than a camera can turn and still see the board."""
+        turn = _turn_rad(step)
+        if not (turn > LONGEST_TURN_RAD).any():
+            return step
+        share = np.minimum(1.0, LONGEST_TURN_RAD / np.maximum(turn, 1e-300))
+        return replace(step, shared=step.shared * share[..., None], views=step.views * share[..., None, None])
+
+    def corrected(self, step: BundleStep, correction: BundleStep, is_wanted: Bool[ndarray, "*batch"]) -> BundleStep:
+        """The sum of both where a correction is wanted and turns the rig by no more than the step did or a harmless angle."""
+        longest = np.maximum(MAX_CORRECTION * _turn_rad(step), HARMLESS_TURN_RAD)
+        is_sound = is_wanted & np.isfinite(correction.predicted_px2) & (_turn_rad(correction) <= longest)
+        return replace(
+            step,
+            shared=step.shared + np.where(is_sound[..., None], correction.shared, 0.0),
+            views=step.views + np.where(is_sound[..., None, None], correction.views, 0.0),
+        )
+
+    def with_lost_views_restored(
+        self, candidate: BundleEstimate, equations: BundleEquations, start: BundleEstimate
+    ) -> BundleEstimate:
+        """The candidate with the poses of views as at the start whose left corners have all lost their weight.
+
+        A redescending kernel gives a view that an early step threw off no way back; the start's pose fitted the left image.
+        """
+        left = self.cameras[0]
+        no_weight = robust.HAMPEL_LIMIT * np.square(equations.scale_px)[..., None] * left.is_seen.sum(axis=-1)
+        is_lost = (equations.cameras[0].cost_px2 > LOST_SHARE * no_weight) & (no_weight > 0)
+        if not is_lost.any():
+            return candidate
+        return replace(candidate, T_left_board=choose_rigs(is_lost, start.T_left_board, candidate.T_left_board))
+
+
+def _turn_rad(step: BundleStep) -> Float[ndarray, "*batch"]:
+    omega = step.shared[..., -6:-3]
+    return np.sqrt((omega * omega).sum(axis=-1))
 
 
 def _step_along(

@@ -1,31 +1,15 @@
-"""Who chooses the actions of :mod:`binocal.solvers.steering`: the protocol, and the classical rules."""
+"""The classical controllers of :mod:`binocal.solvers.loop`: who chooses damping and scale without having learned to."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Float
 from binocal.solvers.board_views import BundleProblem
-from binocal.solvers.steering import Action, LoopState
-
-Memory = dict[str, ndarray]
-"""What a controller remembers between iterations; every array has one entry for each rig."""
-
-
-class Controller(Protocol):
-    """Chooses what the next iteration of every rig does."""
-
-    def start(self, batch: tuple[int, ...]) -> Memory:
-        """The memory at the start of a batch of solves."""
-        ...
-
-    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
-        """The next action, and what to remember of it."""
-        ...
+from binocal.solvers.loop_state import Action, LoopState, Memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +25,7 @@ class Schedule:
     def action(self, damping: Float[ndarray, "*batch"], n_steps: int) -> Action:
         """The action with that damping."""
         factor = self.scale_factors[min(n_steps, len(self.scale_factors) - 1)]
-        ones = np.ones(damping.shape)
-        return Action(damping, factor * ones, bend=self.bend * ones if self.bend else None)
+        return Action(damping, factor, bend=np.full(damping.shape, self.bend) if self.bend else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +38,15 @@ class Marquardt:
     damping: float = 1e-3
     fall: float = 10.0
     rise: float = 10.0
-    least_raised: float = 1e-6
+    least_raised: float = 1e-6  # weak directions have eigenvalues of 1e-7 of the diagonal: less would not be felt
     schedule: Schedule = Schedule()
 
     def start(self, batch: tuple[int, ...]) -> Memory:
-        """See :class:`Controller`."""
+        """See :class:`~binocal.solvers.loop_state.Controller`."""
         return {"damping": np.full(batch, self.damping), "n_steps": np.zeros(batch, dtype=int)}
 
     def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
-        """See :class:`Controller`."""
+        """See :class:`~binocal.solvers.loop_state.Controller`."""
         damping, n_steps = memory["damping"], memory["n_steps"]
         if n_steps.flat[0] > 0:
             raised = np.maximum(damping * self.rise, self.least_raised)
@@ -79,7 +62,7 @@ class Nielsen:
     schedule: Schedule = Schedule()
 
     def start(self, batch: tuple[int, ...]) -> Memory:
-        """See :class:`Controller`."""
+        """See :class:`~binocal.solvers.loop_state.Controller`."""
         return {
             "damping": np.full(batch, self.damping),
             "growth": np.full(batch, 2.0),
@@ -87,7 +70,7 @@ class Nielsen:
         }
 
     def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
-        """See :class:`Controller`."""
+        """See :class:`~binocal.solvers.loop_state.Controller`."""
         damping, growth, n_steps = memory["damping"], memory["growth"], memory["n_steps"]
         if n_steps.flat[0] > 0:
             lowered = damping * np.maximum(1 / 3, 1 - (2 * state.gain - 1) ** 3)

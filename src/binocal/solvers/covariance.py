@@ -17,7 +17,7 @@ from binocal.solvers.board_views import (
     BundleProblem,
     CameraObservations,
 )
-from binocal.solvers.least_squares import Minimum
+from binocal.solvers.loop import Minimum
 from binocal.solvers.whitening import CornerWeights
 
 SINGULAR_CONDITION = 1e15  # of the equilibrated information; a usable rig has 1e3 to 1e9, brown8 up to 1e13

@@ -19,7 +19,7 @@ from binocal.solvers.board_views import (
     BundleStep,
     adjoint,
 )
-from binocal.solvers.least_squares import Minimum
+from binocal.solvers.loop import Minimum
 
 MAX_STEPS = 60  # the rational model's valley is bent: up to 40 were seen, other models take 1 or 2
 ROUNDING_PX = 1e-12  # a projection of some 1000 px is rounded to 1e-13

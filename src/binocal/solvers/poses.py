@@ -18,7 +18,7 @@ from binocal.solvers.board_views import (
     BundleProblem,
     CameraObservations,
 )
-from binocal.solvers.least_squares import LoopOptions, Minimum, minimize
+from binocal.solvers.loop import LoopOptions, Minimum, minimize
 from binocal.solvers.whitening import CornerWeights
 
 MIN_CORNERS = 4  # a planar pose has six unknowns; three corners leave several solutions

@@ -13,10 +13,10 @@ from binocal.simulation.rigs import table2_rig
 from binocal.simulation.scenes import StereoScene, sample_board_poses
 from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import CameraObservations
+from binocal.solvers.controlled import MAX_CONTROLLED_ITERATIONS, minimize_controlled
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
-from binocal.solvers.least_squares import minimize
-from binocal.solvers.steered import MAX_LED_ITERATIONS, minimize_steered
-from binocal.solvers.steering import Action, advance, begin
+from binocal.solvers.loop import advance, begin, minimize
+from binocal.solvers.loop_state import Action
 
 BOARD = parse_board("chessboard:11x8:20mm")
 PLAIN = Action(np.zeros(()), np.ones(()))
@@ -121,11 +121,11 @@ def test_the_given_state_is_not_altered():
 @pytest.mark.parametrize("intrinsics", [False, True])
 def test_every_controller_ends_at_the_classical_minimum(controller, intrinsics):
     problem, start = make_case(1, outlier_share=0.05, intrinsics=intrinsics, turn_deg=5.0)
-    classical, steered = minimize(problem, start), minimize_steered(problem, start, controller)
-    assert classical.is_converged and steered.minimum.is_converged
+    classical, solve = minimize(problem, start), minimize_controlled(problem, start, controller)
+    assert classical.is_converged and solve.minimum.is_converged
     # the rotation's sigma is 4e-2 degrees with free intrinsics, 1e-3 with held ones; the stop rule leaves 0.01 of it
-    assert angle_deg(steered.minimum.estimate, classical.estimate) < (4e-4 if intrinsics else 1e-5)
-    difference = steered.minimum.estimate.T_right_left.t - classical.estimate.T_right_left.t
+    assert angle_deg(solve.minimum.estimate, classical.estimate) < (4e-4 if intrinsics else 1e-5)
+    difference = solve.minimum.estimate.T_right_left.t - classical.estimate.T_right_left.t
     assert np.abs(difference).max() < 1e-6
 
 
@@ -147,25 +147,25 @@ class Lost:
 )
 def test_a_lost_controller_is_relieved_and_the_answer_stands(damping, reason):
     problem, start = make_case(2, turn_deg=5.0)
-    steered, classical = minimize_steered(problem, start, Lost(damping)), minimize(problem, start)
-    assert reason in steered.handed_over and len(steered.led) <= MAX_LED_ITERATIONS
-    assert angle_deg(steered.minimum.estimate, classical.estimate) < 1e-5
+    solve, classical = minimize_controlled(problem, start, Lost(damping)), minimize(problem, start)
+    assert reason in solve.fallback_reason and len(solve.controlled) <= MAX_CONTROLLED_ITERATIONS
+    assert angle_deg(solve.minimum.estimate, classical.estimate) < 1e-5
 
 
 def test_the_way_that_was_left_is_measured_in_sigmas():
     problem, start = make_case(4, turn_deg=5.0)
-    steered = minimize_steered(problem, start, Marquardt(1e-4))
-    assert 0 < steered.remaining_sigma < 1e4 and len(steered.led) >= 1
-    goal = steered.minimum.estimate
+    solve = minimize_controlled(problem, start, Marquardt(1e-4))
+    assert 0 < solve.remaining_sigma < 1e4 and len(solve.controlled) >= 1
+    goal = solve.minimum.estimate
     state = begin(problem, start, "hampel")
-    for iteration in steered.led:
+    for iteration in solve.controlled:
         action = Action(np.asarray(iteration.damping), np.asarray(iteration.scale_factor))
         state = advance(problem, state, action, "hampel")
-    sigma = np.sqrt(np.diag(np.linalg.inv(problem.shared_information(goal, steered.minimum.equations)))[:3])
+    sigma = np.sqrt(np.diag(np.linalg.inv(problem.shared_information(goal, solve.minimum.equations)))[:3])
     turn = so3.log(state.estimate.T_right_left.R @ goal.T_right_left.R.T)
     # six unknowns together are at least as far as the farthest of them alone
-    assert steered.remaining_sigma >= np.max(np.abs(turn) / sigma) / steered.minimum.scale_px - 1e-6
-    assert minimize_steered(problem, start, Lost(np.nan)).remaining_sigma == 0
+    assert solve.remaining_sigma >= np.max(np.abs(turn) / sigma) / solve.minimum.scale_px - 1e-6
+    assert minimize_controlled(problem, start, Lost(np.nan)).remaining_sigma == 0
 
 
 def test_a_batch_goes_the_way_of_its_single_rigs():
