@@ -10,7 +10,7 @@ from binocal.calibrators import CalibrationRequest, calibrate, joint
 from binocal.geometry import so3
 from binocal.initialization.verified_start import estimate_verified_start
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
-from binocal.solvers.loop import minimize
+from binocal.solvers.minimization import minimize
 
 BOARD = parse_board("chessboard:11x8:20mm")
 

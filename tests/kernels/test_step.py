@@ -32,7 +32,7 @@ def make_problem(model, *, skew=False, intrinsics=True, is_rig_free=True, n_view
     problem = BundleProblem(points, tuple(cameras[:n_cameras]), is_rig_free)
     T = rig.T_right_left
     parameters = (rig.left.parameters * 1.001, rig.right.parameters * 0.999)[:n_cameras]
-    T_right_left = SE3(T.R, T.t + 1e-4) if n_cameras == 2 else None
+    T_right_left = SE3(T.R, T.t + 1e-4)
     return problem, BundleEstimate(parameters, SE3(poses.R, poses.t + 1e-4), T_right_left)
 
 

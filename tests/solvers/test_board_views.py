@@ -18,7 +18,7 @@ from binocal.simulation.scenes import StereoScene, fronto_parallel, sample_board
 from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
 from binocal.solvers.covariance import cramer_rao_bound, residual_noise_px, shared_covariance, shared_names
-from binocal.solvers.loop import LoopOptions, minimize
+from binocal.solvers.minimization import LoopOptions, minimize
 from binocal.solvers.polish import polish_exact
 
 BOARD = parse_board("chessboard:11x8:20mm")

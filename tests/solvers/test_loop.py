@@ -15,8 +15,9 @@ from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import CameraObservations
 from binocal.solvers.controlled import MAX_CONTROLLED_ITERATIONS, minimize_controlled
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
-from binocal.solvers.loop import advance, begin, minimize
+from binocal.solvers.loop import advance, begin
 from binocal.solvers.loop_state import Action
+from binocal.solvers.minimization import minimize
 
 BOARD = parse_board("chessboard:11x8:20mm")
 PLAIN = Action(np.zeros(()), np.ones(()))
@@ -94,7 +95,7 @@ def test_a_step_behind_the_camera_is_rejected_and_changes_nothing():
     state = begin(problem, start, "hampel")
     away = np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, -5.0])
     after = advance(problem, state, replace(PLAIN, increment=away), "hampel")
-    assert not after.is_kept and after.gain == -1
+    assert not after.is_kept and after.seen.gain == -1
     assert np.array_equal(after.estimate.T_right_left.R, start.T_right_left.R)
     assert after.scale_px == state.scale_px and after.mad_px == state.mad_px
 

@@ -27,10 +27,10 @@ from binocal.rl.policy import shipped_policy
 from binocal.rl.rig_batches import RIG_SETS, SIZE_WH, RigBatch, corrupt_corners
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.board_views import BundleEstimate, BundleProblem
+from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.controlled import minimize_controlled
-from binocal.solvers.loop import Minimum, minimize
 from binocal.solvers.loop_state import Controller
+from binocal.solvers.minimization import minimize
 
 N_TIMED = 200
 N_JOINT = 60
@@ -163,7 +163,7 @@ def largest_difference_sigma(a: StereoCalibration, b: StereoCalibration) -> floa
 def _time_solves(name: str, controllers: dict[str, Controller], seed: int) -> dict[str, Any]:
     """Whole solves in turn: plain ``lm``, and with each controller leading its far phase."""
     rigs, start = held_out_rigs(name, N_TIMED, seed + 2)
-    ways: dict[str, Callable[[BundleProblem, BundleEstimate], Minimum]] = {LM: minimize}
+    ways: dict[str, Callable[[BundleProblem, BundleEstimate], BundleMinimum]] = {LM: minimize}
     for label, controller in controllers.items():
         ways[label] = partial(_solve_led, controller)
     elapsed: dict[str, list[float]] = {label: [] for label in ways}
@@ -185,7 +185,7 @@ def _time_solves(name: str, controllers: dict[str, Controller], seed: int) -> di
     }
 
 
-def _solve_led(controller: Controller, problem: BundleProblem, start: BundleEstimate) -> Minimum:
+def _solve_led(controller: Controller, problem: BundleProblem, start: BundleEstimate) -> BundleMinimum:
     return minimize_controlled(problem, start, controller).minimum
 
 

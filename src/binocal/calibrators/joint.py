@@ -25,9 +25,9 @@ from binocal.initialization.verified_start import estimate_verified_start
 from binocal.result import RejectedView, StereoCalibration
 from binocal.shapes import Float
 from binocal.solvers import robust
-from binocal.solvers.board_views import BundleEstimate, BundleProblem
+from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.covariance import inliers
-from binocal.solvers.loop import RESUMED_DAMPING, START_DAMPING, LoopOptions, Minimum, minimize
+from binocal.solvers.minimization import RESUMED_DAMPING, START_DAMPING, LoopOptions, minimize
 from binocal.solvers.polish import polish_exact
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
@@ -39,7 +39,7 @@ MISFIT_SHARE = 0.1  # of the noise variance; less changes the weights by too lit
 
 @runtime_checkable
 class Minimizer(Protocol):
-    """What finds a robust minimum near a start, as :func:`binocal.solvers.loop.minimize` does."""
+    """What finds a robust minimum near a start, as :func:`binocal.solvers.minimization.minimize` does."""
 
     def __call__(
         self,
@@ -48,7 +48,7 @@ class Minimizer(Protocol):
         options: LoopOptions | None = None,
         *,
         scale_px: Float[ndarray, "*batch"] | None = None,
-    ) -> Minimum:
+    ) -> BundleMinimum:
         """The minimum; ``scale_px`` is a first guess of the kernel's scale."""
         ...
 
@@ -107,7 +107,7 @@ def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
     if request.should_stop is None:
         return minimizer
 
-    def minimize_unless_stopped(*args: Any, **kwargs: Any) -> Minimum:
+    def minimize_unless_stopped(*args: Any, **kwargs: Any) -> BundleMinimum:
         request.check_stop()
         return minimizer(*args, **kwargs)
 
@@ -155,14 +155,14 @@ def _calibrate_clean(
     return calibration if not doubts and acceptance.is_beyond_doubt(calibration) else None
 
 
-def _fits_evenly(problem: BundleProblem, minimum: Minimum, homography_px: float) -> bool:
+def _fits_evenly(problem: BundleProblem, minimum: BundleMinimum, homography_px: float) -> bool:
     n_seen = np.concatenate([camera.is_seen.sum(axis=1) for camera in problem.cameras])
     whitened2 = tuple(e.r2_px2 for e in minimum.equations.cameras)
     plain2 = plain_lengths2(problem, minimum) if problem.is_whitened else whitened2
     return acceptance.fits_evenly(n_seen, inliers(problem, minimum), whitened2, plain2, homography_px)
 
 
-def _contradicting(views: Detections, problem: BundleProblem, minimum: Minimum) -> dict[int, Finding]:
+def _contradicting(views: Detections, problem: BundleProblem, minimum: BundleMinimum) -> dict[int, Finding]:
     left2, right2 = plain_lengths2(problem, minimum)
     left_used, right_used = inliers(problem, minimum)
     return acceptance.contradicting_views(views, (left2, right2), (left_used, right_used))
@@ -180,8 +180,8 @@ def solve_with_misfit(
     views: Detections,
     request: CalibrationRequest,
     start: BundleEstimate,
-    solve: Callable[..., tuple[Minimum, int]],
-) -> tuple[BundleProblem, Minimum, float, int]:
+    solve: Callable[..., tuple[BundleMinimum, int]],
+) -> tuple[BundleProblem, BundleMinimum, float, int]:
     """The joint problem, its minimum, the misfit that its corner weights count, and the iterations it took.
 
     All corners count alike at first: where the board or the lens model misfit, covariances alone would take half of the
@@ -208,14 +208,14 @@ def solve_with_misfit(
 
 def _solve_clean(
     minimizer: Minimizer, problem: BundleProblem, start: BundleEstimate, *, damping: float = START_DAMPING
-) -> tuple[Minimum, int]:
+) -> tuple[BundleMinimum, int]:
     minimum = minimizer(problem, start, LoopOptions(max_iterations=CLEAN_ITERATIONS, initial_damping=damping))
     return minimum, int(minimum.n_iterations)
 
 
 def _solve(
     minimizer: Minimizer, problem: BundleProblem, start: BundleEstimate, *, damping: float = START_DAMPING
-) -> tuple[Minimum, int]:
+) -> tuple[BundleMinimum, int]:
     """The robust optimum, and the iterations it took.
 
     The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails,
@@ -235,7 +235,7 @@ def _solve(
     return polish_exact(problem, best), n_iterations
 
 
-def _is_better(problem: BundleProblem, a: Minimum, b: Minimum) -> bool:
+def _is_better(problem: BundleProblem, a: BundleMinimum, b: BundleMinimum) -> bool:
     """Converged rather than not, then the lower cost under the smaller scale of the two."""
     if bool(a.is_converged) != bool(b.is_converged):
         return bool(a.is_converged)

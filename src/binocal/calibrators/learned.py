@@ -18,9 +18,9 @@ from binocal.result import StereoCalibration
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
 from binocal.shapes import Float
-from binocal.solvers.board_views import BundleEstimate, BundleProblem
+from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.controlled import ControlledMinimum, minimize_controlled
-from binocal.solvers.loop import LoopOptions, Minimum, minimize
+from binocal.solvers.minimization import LoopOptions, minimize
 
 if TYPE_CHECKING:
     from numpy import ndarray
@@ -65,7 +65,7 @@ class _ControlledMinimizer:
         options: LoopOptions | None = None,
         *,
         scale_px: Float[ndarray, "*batch"] | None = None,
-    ) -> Minimum:
+    ) -> BundleMinimum:
         if options is not None and options.kernel != "hampel":
             return minimize(problem, start, options, scale_px=scale_px)
         solve = minimize_controlled(problem, start, self.controller, options, scale_px=scale_px)

@@ -18,7 +18,7 @@ from binocal.geometry import SE3
 from binocal.result import Evidence, StereoCalibration
 from binocal.shapes import Float
 from binocal.solvers.board_views import BundleEstimate
-from binocal.solvers.loop import LoopOptions, minimize
+from binocal.solvers.minimization import LoopOptions, minimize
 from binocal.solvers.poses import estimate_board_poses
 from binocal.solvers.whitening import CornerWeights, corner_weights
 

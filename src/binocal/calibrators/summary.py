@@ -25,9 +25,8 @@ from binocal.result import (
     ViewResult,
 )
 from binocal.shapes import Bool, Float, Int
-from binocal.solvers.board_views import BundleEstimate, BundleProblem, CameraObservations
+from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, CameraObservations
 from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
-from binocal.solvers.loop import Minimum
 from binocal.solvers.whitening import CornerWeights
 
 
@@ -53,7 +52,7 @@ def joint_problem(
     return request.prior.applied(problem)
 
 
-def plain_lengths2(problem: BundleProblem, minimum: Minimum) -> tuple[Float[ndarray, "views n"], ...]:
+def plain_lengths2(problem: BundleProblem, minimum: BundleMinimum) -> tuple[Float[ndarray, "views n"], ...]:
     """Squared residual lengths of each camera in pixels, whatever the corners weigh."""
     if problem.is_whitened:
         return problem.unwhitened.residual_lengths2(minimum.estimate)
@@ -73,7 +72,7 @@ def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> Ster
 def summarize(
     detections: Detections,
     problem: BundleProblem,
-    minimum: Minimum,
+    minimum: BundleMinimum,
     request: CalibrationRequest,
     *,
     rejected: tuple[RejectedView, ...],

@@ -24,8 +24,8 @@ from binocal.rl.task import (
     steering_action,
 )
 from binocal.shapes import Float
-from binocal.solvers.board_views import BundleProblem
-from binocal.solvers.loop_state import Action, LoopState, Memory
+from binocal.solvers.board_views import BundleProblem, BundleState
+from binocal.solvers.loop_state import Action, Memory
 
 SHIPPED = {AgentKind.DRL: "drl.safetensors", AgentKind.DRL_INCREMENTS: "drl_increments.safetensors"}
 LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps
@@ -69,7 +69,7 @@ class LearnedController:
             "n_rejected": np.zeros(batch, dtype=int),
         }
 
-    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
+    def choose(self, problem: BundleProblem, state: BundleState, memory: Memory) -> tuple[Action, Memory]:
         """See the protocol. Where the policy's numbers are not finite, neither is the damping, and the guards take over."""
         kind = self.policy.kind
         seen = observation(problem, TaskState(state, memory["last_action"], memory["n_steps"]), kind)
@@ -96,7 +96,7 @@ class ConstantController:
         """See the protocol."""
         return {"n_steps": np.zeros(batch, dtype=int)}
 
-    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
+    def choose(self, problem: BundleProblem, state: BundleState, memory: Memory) -> tuple[Action, Memory]:
         """See the protocol."""
         return steering_action(np.broadcast_to(self.action, (*state.mad_px.shape, len(self.action))), state), memory
 

@@ -20,10 +20,10 @@ from binocal.solvers.arrays import SHARED, stack_rigs, take_rigs
 from binocal.solvers.board_views import (
     BundleEstimate,
     BundleProblem,
+    BundleState,
     CameraObservations,
 )
-from binocal.solvers.loop import LoopOptions, minimize
-from binocal.solvers.loop_state import LoopState
+from binocal.solvers.minimization import LoopOptions, minimize
 
 MODEL = "brown4"
 SIZE_WH = (1280, 960)
@@ -153,7 +153,9 @@ def solved_rigs(
     minimum = minimize(problem, known, LoopOptions(tolerance_sigma=1e-3))
     optimum = minimum.estimate
     left = replace(problem, cameras=problem.cameras[:1], is_rig_free=False)
-    alone = minimize(left, BundleEstimate(known.parameters[:1], known.T_left_board), LoopOptions()).estimate
+    alone = minimize(
+        left, BundleEstimate(known.parameters[:1], known.T_left_board, known.T_right_left), LoopOptions()
+    ).estimate
     information = problem.shared_information(optimum, problem.linearize(optimum, noise_px, "hampel"))
     # the upper triangular factor: |whitening @ xi|² = xi' information xi / noise²
     whitening = np.linalg.cholesky(information).swapaxes(-1, -2) / noise_px[:, None, None]
@@ -211,7 +213,7 @@ def distance_sigma(rigs: RigBatch, estimate: BundleEstimate) -> Float[ndarray, "
     return np.linalg.norm((rigs.whitening @ xi[..., None])[..., 0], axis=-1)
 
 
-def remaining_sigma(rigs: RigBatch, loop: LoopState) -> Float[ndarray, "rigs"]:
+def remaining_sigma(rigs: RigBatch, loop: BundleState) -> Float[ndarray, "rigs"]:
     """What is left to the optimum: :func:`distance_sigma`, or without truth the same from the robust cost.
 
     Near the optimum the cost exceeds the lowest one by half the squared distance over all unknowns, in standard deviations

@@ -14,9 +14,9 @@ from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
 from binocal.shapes import Bool, Float, Int
-from binocal.solvers.board_views import BundleEstimate, BundleProblem
+from binocal.solvers.board_views import BundleEstimate, BundleProblem, BundleState
 from binocal.solvers.loop import advance, begin
-from binocal.solvers.loop_state import Action, LoopState
+from binocal.solvers.loop_state import Action
 from binocal.solvers.observation import OBSERVED, observe
 
 KERNEL = "hampel"
@@ -50,7 +50,7 @@ MAX_DISTANCE_DECADES = 8.0
 class TaskState:
     """A batch of episodes. ``last_action`` is what led here; ``n_steps`` counts candidates."""
 
-    loop: LoopState
+    loop: BundleState
     last_action: Float[ndarray, "*batch a"]
     n_steps: Int[ndarray, "*batch"]
 
@@ -94,7 +94,7 @@ def transition(
     return TaskState(advance(problem, state.loop, decoded, KERNEL), action, state.n_steps + 1)
 
 
-def steering_action(a: Float[ndarray, "*batch 6"], loop: LoopState) -> Action:
+def steering_action(a: Float[ndarray, "*batch 6"], loop: BundleState) -> Action:
     """What six numbers in [-1, 1] ask of the solver. Not finite ones ask for plain Gauss-Newton."""
     a = np.where(np.isfinite(a), a, 0.0)
     decade = np.log(10)
@@ -108,7 +108,7 @@ def steering_action(a: Float[ndarray, "*batch 6"], loop: LoopState) -> Action:
     )
 
 
-def increment_action(problem: BundleProblem, loop: LoopState, a: Float[ndarray, "*batch 6"]) -> Action:
+def increment_action(problem: BundleProblem, loop: BundleState, a: Float[ndarray, "*batch 6"]) -> Action:
     """The change of R, T that six numbers in [-1, 1] ask for, each a share of the whitened Gauss-Newton step's length."""
     root, whitened = _whitened_step(problem, loop)
     length = np.linalg.norm(whitened, axis=-1, keepdims=True)
@@ -118,7 +118,7 @@ def increment_action(problem: BundleProblem, loop: LoopState, a: Float[ndarray, 
 
 
 def _whitened_step(
-    problem: BundleProblem, loop: LoopState
+    problem: BundleProblem, loop: BundleState
 ) -> tuple[Float[ndarray, "*batch 6 6"], Float[ndarray, "*batch 6"]]:
     """The factor that whitens a left step of the rig (intrinsics held, board poses free), and the whitened Newton step."""
     information = problem.shared_information(loop.estimate, loop.equations)[..., -6:, -6:]

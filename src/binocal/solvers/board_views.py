@@ -38,6 +38,8 @@ from binocal.kernels import (
 from binocal.shapes import Bool, Float
 from binocal.solvers import plain_equations, robust
 from binocal.solvers.arrays import SHARED, choose_rigs
+from binocal.solvers.loop_state import LoopState
+from binocal.solvers.minimization import Minimum
 from binocal.solvers.problem import SharedTerm
 
 MAX_CORRECTION = 1.0  # of the step itself, in rotation: beyond, the series does not converge
@@ -92,12 +94,12 @@ class CameraObservations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleEstimate:
-    """A point in parameter space. The rig is None with a single camera."""
+    """A point in parameter space. With a single camera nobody looks at ``T_right_left``."""
 
     parameters: tuple[Float[ndarray, "*batch p"], ...]
     T_left_board: SE3
     """(*batch, views)"""
-    T_right_left: SE3 | None = None
+    T_right_left: SE3
 
     @property
     def batch(self) -> tuple[int, ...]:
@@ -145,6 +147,9 @@ class BundleEquations:
 
 BundleStep = Steps
 """A Newton-like step: shared parameters (free ones only, in order), view poses, and the predicted fall of the cost."""
+
+BundleState = LoopState[BundleEstimate, BundleEquations, BundleStep]
+BundleMinimum = Minimum[BundleEstimate, BundleEquations]
 
 
 def adjoint(R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 6 6"]:

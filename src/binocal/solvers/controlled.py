@@ -9,14 +9,16 @@ estimate in any case, to its own stop rule.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from binocal.geometry import so3
-from binocal.solvers.board_views import BundleEstimate, BundleProblem, BundleStep
-from binocal.solvers.loop import FAR, RESUMED_DAMPING, LoopOptions, Minimum, Trial, begin, minimize, run
-from binocal.solvers.loop_state import Action, Controller, LoopState
+from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, BundleState, BundleStep
+from binocal.solvers.loop import begin, run
+from binocal.solvers.loop_state import Action, Controller, Outcome
+from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, minimize
+from binocal.solvers.rules import FAR
 
 if TYPE_CHECKING:
     from numpy import ndarray
@@ -55,7 +57,7 @@ class ControlledMinimum:
     """
 
     problem: BundleProblem
-    minimum: Minimum
+    minimum: BundleMinimum
     controlled: tuple[ControlledIteration, ...]
     fallback_reason: str
     last_controlled: BundleEstimate
@@ -80,7 +82,7 @@ class FarPhase:
         self._decrement = np.inf
         self._n_rejected = 0
 
-    def is_over(self, state: LoopState) -> bool:
+    def is_over(self, state: BundleState) -> bool:
         """Whether the solve is near, or goes nowhere."""
         done = self.iterations
         if self.fallback_reason:
@@ -97,15 +99,15 @@ class FarPhase:
             self.fallback_reason = f"the distance left did not halve in {PROGRESS_WINDOW} iterations"
         return bool(self.fallback_reason)
 
-    def ends_before(self, state: LoopState, action: Action, step: BundleStep) -> bool:
+    def ends_before(self, state: BundleState, action: Action, step: BundleStep) -> bool:
         """Whether the controller asked for what is no number."""
         if not action.is_finite:
             self.fallback_reason = "the controller's output was not finite"
         return bool(self.fallback_reason)
 
-    def record(self, state: LoopState, action: Action, trial: Trial) -> None:
+    def record(self, state: BundleState, outcome: Outcome[Any, Any, Any]) -> None:
         """Take note; too many rejections in a row end the phase."""
-        self.iterations.append(_record(action, self._decrement, state))
+        self.iterations.append(_record(outcome.action, self._decrement, state))
         self._n_rejected = 0 if state.is_kept else self._n_rejected + 1
         if self._n_rejected == MAX_REJECTIONS:
             self.fallback_reason = f"{MAX_REJECTIONS} rejected steps in a row"
@@ -146,7 +148,7 @@ def minimize_controlled(
     return ControlledMinimum(problem, total, tuple(phase.iterations), phase.fallback_reason, end.estimate)
 
 
-def _is_far(state: LoopState) -> bool:
+def _is_far(state: BundleState) -> bool:
     """Whether the fit is so bad and the rig's next step so long that how it is taken matters."""
     if float(state.mad_px) < FAR_PX:
         return False
@@ -155,7 +157,7 @@ def _is_far(state: LoopState) -> bool:
     return turn > FAR_TURN_RAD or shift > FAR_SHIFT_SHARE * float(np.linalg.norm(state.estimate.T_right_left.t))
 
 
-def _remaining_sigma(problem: BundleProblem, last: BundleEstimate, minimum: Minimum) -> float:
+def _remaining_sigma(problem: BundleProblem, last: BundleEstimate, minimum: BundleMinimum) -> float:
     """Mahalanobis length of R, T from the last controlled estimate to the minimum, all else free."""
     goal = minimum.estimate
     turn = so3.log(last.T_right_left.R @ goal.T_right_left.R.T)
@@ -166,7 +168,7 @@ def _remaining_sigma(problem: BundleProblem, last: BundleEstimate, minimum: Mini
     return float(np.sqrt(max(xi @ rig @ xi, 0.0)) / minimum.scale_px)
 
 
-def _record(action: Action, decrement: float, state: LoopState) -> ControlledIteration:
+def _record(action: Action, decrement: float, state: BundleState) -> ControlledIteration:
     stretch = (1.0, 1.0) if action.stretch is None else action.stretch.tolist()
     return ControlledIteration(
         float(action.damping),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Float
-from binocal.solvers.board_views import BundleProblem
 from binocal.solvers.loop_state import Action, LoopState, Memory
 
 
@@ -45,7 +45,7 @@ class Marquardt:
         """See :class:`~binocal.solvers.loop_state.Controller`."""
         return {"damping": np.full(batch, self.damping), "n_steps": np.zeros(batch, dtype=int)}
 
-    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
+    def choose(self, problem: Any, state: LoopState[Any, Any, Any], memory: Memory) -> tuple[Action, Memory]:
         """See :class:`~binocal.solvers.loop_state.Controller`."""
         damping, n_steps = memory["damping"], memory["n_steps"]
         if n_steps.flat[0] > 0:
@@ -69,11 +69,11 @@ class Nielsen:
             "n_steps": np.zeros(batch, dtype=int),
         }
 
-    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
+    def choose(self, problem: Any, state: LoopState[Any, Any, Any], memory: Memory) -> tuple[Action, Memory]:
         """See :class:`~binocal.solvers.loop_state.Controller`."""
         damping, growth, n_steps = memory["damping"], memory["growth"], memory["n_steps"]
         if n_steps.flat[0] > 0:
-            lowered = damping * np.maximum(1 / 3, 1 - (2 * state.gain - 1) ** 3)
+            lowered = damping * np.maximum(1 / 3, 1 - (2 * state.seen.gain - 1) ** 3)
             damping = np.where(state.is_kept, lowered, np.maximum(damping, 1e-9) * growth)
             growth = np.where(state.is_kept, 2.0, 2 * growth)
         action = self.schedule.action(damping, int(n_steps.flat[0]))

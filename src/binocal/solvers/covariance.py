@@ -14,10 +14,10 @@ from binocal.solvers import robust
 from binocal.solvers.board_views import (
     BundleEquations,
     BundleEstimate,
+    BundleMinimum,
     BundleProblem,
     CameraObservations,
 )
-from binocal.solvers.loop import Minimum
 from binocal.solvers.whitening import CornerWeights
 
 SINGULAR_CONDITION = 1e15  # of the equilibrated information; a usable rig has 1e3 to 1e9, brown8 up to 1e13
@@ -66,7 +66,7 @@ def shared_covariance(
 
 
 def residual_noise_px(
-    problem: BundleProblem, minimum: Minimum, used: tuple[Bool[ndarray, "views n"], ...] | None = None
+    problem: BundleProblem, minimum: BundleMinimum, used: tuple[Bool[ndarray, "views n"], ...] | None = None
 ) -> float:
     """Noise of one corner coordinate from the weighted residuals of one rig, corrected for the fitted parameters.
 
@@ -82,7 +82,7 @@ def residual_noise_px(
     return float(np.sqrt(weighted / freedom))
 
 
-def inliers(problem: BundleProblem, minimum: Minimum) -> tuple[Bool[ndarray, "views n"], ...]:
+def inliers(problem: BundleProblem, minimum: BundleMinimum) -> tuple[Bool[ndarray, "views n"], ...]:
     """Which seen corners carry weight at the minimum."""
     return tuple(
         c.is_seen & robust.carries_weight(e.r2_px2, minimum.scale_px, minimum.kernel)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Generic, Protocol, runtime_checkable
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Bool, Float
-from binocal.solvers.board_views import BundleEquations, BundleEstimate, BundleProblem, BundleStep
+from binocal.solvers.problem import E, Q, S
 
 Memory = dict[str, ndarray]
 """What a controller remembers between iterations; every array has one entry for each rig."""
@@ -40,29 +40,55 @@ class Action:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoopState:
+class Observed(Generic[S]):
+    """What controllers look at beside the residuals.
+
+    ``newton`` is the undamped step from here; ``gain`` the actual over the predicted fall of the last candidate's cost, -1
+    where it was rejected; the others are MAD noise and Newton step before that candidate.
+    """
+
+    newton: S
+    gain: Float[ndarray, "*batch"]
+    previous_mad_px: Float[ndarray, "*batch"]
+    previous_newton: S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopState(Generic[E, Q, S]):
     """Where a batch of robust solves stands.
 
     ``cost_px2`` is the robust cost under ``scale_px``, the kernel's scale; ``mad_px`` the MAD noise of the estimate. ``start`` is
     the estimate that the loop began with. ``is_kept`` says whether the last candidate was. ``is_settled`` says
-    where the scale is that of the noise, ``is_closing`` whether looking ahead still pays. For controllers that observe:
-    ``newton``, the undamped step from here; the gain, actual over predicted fall of the last candidate's cost, -1 where it
-    was rejected; and MAD noise and Newton step before it.
+    where the scale is that of the noise, ``is_closing`` whether looking ahead still pays. ``observed`` is None under rules
+    that spare its cost (:data:`binocal.solvers.rules.NEAR`).
     """
 
-    estimate: BundleEstimate
-    equations: BundleEquations
+    estimate: E
+    equations: Q
     cost_px2: Float[ndarray, "*batch"]
     scale_px: Float[ndarray, "*batch"]
     mad_px: Float[ndarray, "*batch"]
     is_kept: Bool[ndarray, "*batch"]
-    start: BundleEstimate
+    start: E
     is_settled: Bool[ndarray, "*batch"]
     is_closing: bool
-    newton: BundleStep | None
-    gain: Float[ndarray, "*batch"]
-    previous_mad_px: Float[ndarray, "*batch"]
-    previous_newton: BundleStep | None
+    observed: Observed[S] | None
+
+    @property
+    def seen(self) -> Observed[S]:
+        """``observed``, for controllers that need it.
+
+        Raises:
+            ValueError: The loop runs under rules that do not observe.
+        """
+        if self.observed is None:
+            raise ValueError("this controller looks at Newton steps, which the loop's rules leave out")
+        return self.observed
+
+    @property
+    def newton(self) -> S:
+        """The undamped step from here."""
+        return self.seen.newton
 
     @property
     def decrement_sigma(self) -> Float[ndarray, "*batch"]:
@@ -70,6 +96,27 @@ class LoopState:
         return np.sqrt(np.maximum(2 * self.newton.predicted_px2, 0)) / self.mad_px
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome(Generic[E, Q, S]):
+    """One iteration: the step, what its candidate cost, and the better one of estimate and candidate, rig by rig.
+
+    ``trial_px2`` is the candidate's robust cost and ``before_px2`` the estimate's, both under ``scale_px``, as is
+    ``cost_px2`` of what was kept. ``ahead_px`` is the candidate's MAD noise where the rules looked ahead.
+    """
+
+    action: Action
+    step: S
+    is_kept: Bool[ndarray, "*batch"]
+    estimate: E
+    equations: Q
+    cost_px2: Float[ndarray, "*batch"]
+    scale_px: Float[ndarray, "*batch"]
+    ahead_px: Float[ndarray, "*batch"]
+    trial_px2: Float[ndarray, "*batch"]
+    before_px2: Float[ndarray, "*batch"]
+
+
+@runtime_checkable
 class Controller(Protocol):
     """Chooses what the next iteration of every rig does."""
 
@@ -77,6 +124,6 @@ class Controller(Protocol):
         """The memory at the start of a batch of solves."""
         ...
 
-    def choose(self, problem: BundleProblem, state: LoopState, memory: Memory) -> tuple[Action, Memory]:
+    def choose(self, problem: Any, state: LoopState[Any, Any, Any], memory: Memory) -> tuple[Action, Memory]:
         """The next action, and what to remember of it."""
         ...

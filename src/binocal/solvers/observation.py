@@ -7,8 +7,7 @@ from numpy import ndarray
 from binocal.kernels import LastIteration
 from binocal.kernels import observe as _observe
 from binocal.shapes import Float
-from binocal.solvers.board_views import BundleProblem
-from binocal.solvers.loop_state import LoopState
+from binocal.solvers.board_views import BundleProblem, BundleState
 
 OBSERVED = (
     "log10 length of the Gauss-Newton step, sigmas",
@@ -39,14 +38,15 @@ OBSERVED = (
 """What :func:`observe` returns, in order."""
 
 
-def observe(problem: BundleProblem, state: LoopState) -> Float[ndarray, "*batch f"]:
+def observe(problem: BundleProblem, state: BundleState) -> Float[ndarray, "*batch f"]:
     """Scale-free numbers of the state, all of them at hand: residuals, the solver's own equations, the last iteration."""
-    last = LastIteration(state.scale_px, state.gain, state.is_kept, state.previous_mad_px, state.previous_newton)
+    seen = state.seen
+    last = LastIteration(state.scale_px, seen.gain, state.is_kept, seen.previous_mad_px, seen.previous_newton)
     return _observe(
         tuple(e.r2_px2 for e in state.equations.cameras),
         tuple(camera.is_seen for camera in problem.cameras),
         state.mad_px,
-        state.newton,
+        seen.newton,
         state.estimate.T_right_left.t,
         state.estimate.T_left_board.t,
         last,

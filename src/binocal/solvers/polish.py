@@ -15,11 +15,11 @@ from binocal.kernels import unweighted_columns
 from binocal.solvers import robust
 from binocal.solvers.board_views import (
     BundleEstimate,
+    BundleMinimum,
     BundleProblem,
     BundleStep,
     adjoint,
 )
-from binocal.solvers.loop import Minimum
 
 MAX_STEPS = 60  # the rational model's valley is bent: up to 40 were seen, other models take 1 or 2
 ROUNDING_PX = 1e-12  # a projection of some 1000 px is rounded to 1e-13
@@ -27,7 +27,7 @@ LEAST_DAMPING, MAX_DAMPING = 1e-14, 1e-2  # of a column's squared length
 MAX_CORNERS = 200_000  # the whole Jacobian is held at once: 100 MB
 
 
-def polish_exact(problem: BundleProblem, minimum: Minimum) -> Minimum:
+def polish_exact(problem: BundleProblem, minimum: BundleMinimum) -> BundleMinimum:
     """The minimum of one stereo rig, stepped on to the rounding of the projections.
 
     Unchanged unless its scale is at the floor.

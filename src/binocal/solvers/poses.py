@@ -15,10 +15,11 @@ from binocal.shapes import Bool, Float
 from binocal.solvers.arrays import choose_rigs
 from binocal.solvers.board_views import (
     BundleEstimate,
+    BundleMinimum,
     BundleProblem,
     CameraObservations,
 )
-from binocal.solvers.loop import LoopOptions, Minimum, minimize
+from binocal.solvers.minimization import LoopOptions, minimize
 from binocal.solvers.whitening import CornerWeights
 
 MIN_CORNERS = 4  # a planar pose has six unknowns; three corners leave several solutions
@@ -52,7 +53,7 @@ def estimate_board_poses(
     else:
         candidates, is_found = _closed_form_starts(rig, detections)
     problem = _one_view_problems(rig, detections, weights or CornerWeights())
-    best: Minimum | None = None
+    best: BundleMinimum | None = None
     for T_left_board in candidates:
         found = _solve(problem, rig, T_left_board, is_close=start is not None)
         best = found if best is None else _better(found, best)
@@ -99,7 +100,7 @@ def _one_view_problems(rig: StereoRig, detections: Detections, weights: CornerWe
     return BundleProblem(np.ascontiguousarray(detections.object_points_m.T), cameras, is_rig_free=False)
 
 
-def _solve(problem: BundleProblem, rig: StereoRig, T_left_board: SE3, *, is_close: bool) -> Minimum:
+def _solve(problem: BundleProblem, rig: StereoRig, T_left_board: SE3, *, is_close: bool) -> BundleMinimum:
     start = BundleEstimate.of_rig(rig, T_left_board[:, None])
     if is_close:
         return minimize(problem, start, LoopOptions(tolerance_sigma=0.1))
@@ -107,7 +108,7 @@ def _solve(problem: BundleProblem, rig: StereoRig, T_left_board: SE3, *, is_clos
     return minimize(problem, loose.estimate, scale_px=loose.scale_px / 2)
 
 
-def _better(a: Minimum, b: Minimum) -> Minimum:
+def _better(a: BundleMinimum, b: BundleMinimum) -> BundleMinimum:
     """View by view, the minimum with the smaller scale."""
     take = a.scale_px < b.scale_px
     return replace(

@@ -8,14 +8,25 @@ and an earlier calibration (:mod:`binocal.solvers.prior`).
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from numpy import ndarray
 
-from binocal.shapes import Float
+from binocal.shapes import Bool, Float
 from binocal.solvers import robust
 
 
+@runtime_checkable
+class Estimate(Protocol):
+    """Values of all unknowns: a frozen dataclass whose arrays begin with the batch's dimensions."""
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """The batch's dimensions."""
+        ...
+
+
+@runtime_checkable
 class Equations(Protocol):
     """A problem linearised at an estimate. ``cost_px2`` is its robust cost, inf where the estimate is impossible."""
 
@@ -34,6 +45,7 @@ class Equations(Protocol):
         ...
 
 
+@runtime_checkable
 class Step(Protocol):
     """A step of all unknowns; ``predicted_px2`` is the fall of the cost that the linear model predicts, NaN without a step."""
 
@@ -43,11 +55,12 @@ class Step(Protocol):
         ...
 
 
-E = TypeVar("E")
+E = TypeVar("E", bound=Estimate)
 Q = TypeVar("Q", bound=Equations)
 S = TypeVar("S", bound=Step)
 
 
+@runtime_checkable
 class Problem(Protocol[E, Q, S]):
     """A robust least-squares problem, or a batch of them."""
 
@@ -76,8 +89,9 @@ class Problem(Protocol[E, Q, S]):
         ...
 
 
+@runtime_checkable
 class SteerableProblem(Problem[E, Q, S], Protocol[E, Q, S]):
-    """A problem whose steps from far away can be altered and corrected (:class:`binocal.solvers.loop.Action`)."""
+    """A problem whose steps from far away can be altered and corrected (:class:`binocal.solvers.loop_state.Action`)."""
 
     def solve_step(
         self,
@@ -91,8 +105,20 @@ class SteerableProblem(Problem[E, Q, S], Protocol[E, Q, S]):
         """The step with the shared unknowns' part altered and the others' damping of its own."""
         ...
 
+    def limited(self, step: S) -> S:
+        """The step, shortened where it would go further than a linear model can mean."""
+        ...
+
     def straightened(self, estimate: E, step: S, bend: Float[ndarray, "*batch"]) -> SteerableProblem[E, Q, S]:
         """The problem as it looks from the estimate once the step is taken, residuals followed to second order."""
+        ...
+
+    def corrected(self, step: S, correction: S, is_wanted: Bool[ndarray, "*batch"]) -> S:
+        """The sum of both where a correction is wanted and small enough to be believed."""
+        ...
+
+    def with_lost_views_restored(self, candidate: E, equations: Q, start: E) -> E:
+        """The candidate with what has lost all weight under a redescending kernel put back to the start's values."""
         ...
 
 
@@ -100,6 +126,7 @@ P_contra = TypeVar("P_contra", contravariant=True)
 E_contra = TypeVar("E_contra", contravariant=True)
 
 
+@runtime_checkable
 class SharedTerm(Protocol[P_contra, E_contra]):
     """A quadratic cost on the shared unknowns of a problem beside its residuals, as a Gaussian prior is."""
 
