@@ -168,6 +168,20 @@ class StereoCalibration:
         """The sentences of the findings that are warnings."""
         return tuple(found.text for found in self.findings if found.severity is Severity.WARNING)
 
+    @property
+    def corners(self) -> Evidence:
+        """``evidence``, for whoever cannot do without.
+
+        Raises:
+            DataError: It was read from a file that holds none; the text says how to bring it back.
+        """
+        if self.evidence is None:
+            raise DataError(
+                "this calibration was read from a file, which holds no corners; "
+                "give it those that `binocal calibrate --evidence` kept: calibration.with_evidence(read_detections(path))."
+            )
+        return self.evidence
+
     def with_evidence(self, detections: Detections) -> StereoCalibration:
         """The calibration with the corners that it was made from: ``detections`` as they were before it (views by name).
 

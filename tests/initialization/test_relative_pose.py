@@ -72,4 +72,5 @@ def test_without_a_pair_there_is_no_consensus() -> None:
     rig = simulate(5, 4)
     left, right = rig.left_px.copy(), rig.right_px.copy()
     left[:2], right[2:] = np.nan, np.nan
-    assert estimate_relative_pose(*_poses(rig, left, right)) is None
+    with pytest.raises(ValueError, match="no view has both images"):
+        estimate_relative_pose(*_poses(rig, left, right))

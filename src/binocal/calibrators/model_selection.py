@@ -137,8 +137,8 @@ def _views_to_hold_out(evidence: Iterable[Evidence]) -> tuple[str, ...]:
     """Names of the views that every fitted model used and both cameras saw."""
     used = []
     for detections in (e.detections for e in evidence):
-        both = detections.left_is_seen.any(axis=1) & detections.right_is_seen.any(axis=1)
-        used.append([name for name, is_seen in zip(detections.names, both, strict=True) if is_seen])
+        both = np.asarray(detections.left_is_seen.any(axis=1) & detections.right_is_seen.any(axis=1))
+        used.append([name for name, is_seen in zip(detections.names, both.tolist(), strict=True) if is_seen])
     common = set(used[0]).intersection(*used)
     return tuple(name for name in used[0] if name in common)
 
@@ -151,7 +151,7 @@ def _hold_out(
     The joint problem has one optimum in the basin that all calibrators end in, so the start saves time and does not
     leak. Residuals are weighted alike for all models, with ``noise_px`` and ``misfit_px`` of the best.
     """
-    evidence: Evidence = full.evidence
+    evidence = full.corners
     index = np.array([evidence.detections.names.index(name) for name in good])
     detections, T_left_board = evidence.detections.select(index), evidence.T_left_board[index]
     weights = corner_weights(detections, misfit_px)

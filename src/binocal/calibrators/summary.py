@@ -133,7 +133,7 @@ def _view_results(
         detections.names,
         _rms(sums_px2.sum(axis=0), counts.sum(axis=0)).tolist(),
         *_rms(sums_px2, counts).tolist(),
-        sum(c.is_seen.sum(axis=1) for c in problem.cameras).tolist(),
+        np.sum([c.is_seen.sum(axis=1) for c in problem.cameras], axis=0).tolist(),
         strict=True,
     )
     return tuple(

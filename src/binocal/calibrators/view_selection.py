@@ -96,7 +96,7 @@ def select_views(detections: Detections, request: CalibrationRequest, *, calibra
     spread = np.unique(np.linspace(0, len(candidates) - 1, PILOT_VIEWS).round().astype(int))
     method = load_calibrator(calibrator)
     pilot = calibrate_named_or_best_model(detections.select(candidates[spread]), method, request)
-    weights = corner_weights(detections, pilot.evidence.misfit_px)
+    weights = corner_weights(detections, pilot.corners.misfit_px)
     information, prior, rms_px, distance_m = _informations(detections, weights, candidates, pilot.rig, request)
     is_good = rms_px < MISFIT_FACTOR * np.median(rms_px[np.isfinite(rms_px)])
     misfits = tuple(detections.names[i] for i in candidates[~is_good])
@@ -223,7 +223,7 @@ def _neighbours(rig: StereoRig, skew: bool) -> list[tuple[StereoRig, StereoRig, 
 
 def _noise_px(pilot: StereoCalibration, weights: CornerWeights) -> float:
     """The pilot's noise in the unit of these weights."""
-    own = corner_weights(pilot.evidence.detections, pilot.evidence.misfit_px)
+    own = corner_weights(pilot.corners.detections, pilot.corners.misfit_px)
     return pilot.noise_px if own.is_uniform else pilot.noise_px * weights.unit_px / own.unit_px
 
 

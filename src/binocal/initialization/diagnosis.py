@@ -29,7 +29,7 @@ from binocal.geometry.homography import (
 from binocal.initialization.intrinsics import InitialCamera, estimate_intrinsics
 from binocal.initialization.poses import BoardPoses, select_poses
 from binocal.initialization.relative_pose import Consensus, estimate_relative_pose, transfer_px
-from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, transposed_order
+from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, no_symmetry, transposed_order
 from binocal.initialization.vanishing_points import check_orientations
 from binocal.result import RejectedView
 from binocal.shapes import Bool, Float
@@ -379,16 +379,14 @@ def _own_rms(cameras: list[InitialCamera]) -> float:
     return float(np.sqrt(np.median(squared)))
 
 
-def _quality(consensus: Consensus | None) -> tuple[float, float]:
+def _quality(consensus: Consensus) -> tuple[float, float]:
     """Share of views that agree, and the median miss of those, pixels."""
-    if consensus is None:
-        return 0.0, np.inf
     examined = consensus.symmetry >= 0
     return float(consensus.agrees.sum() / examined.sum()), float(np.median(consensus.miss_px[consensus.agrees]))
 
 
-def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tuple[Consensus, BoardSymmetries | None]:
-    """The rig on which most views agree; and the board's symmetries where some views may need one, else None.
+def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tuple[Consensus, BoardSymmetries]:
+    """The rig on which most views agree; and the board's symmetries where some views may need one, else the identity.
 
     Raises:
         InconsistentViewsError: There is none; the pairing is tested for being off by a few views first.
@@ -403,7 +401,7 @@ def _find_consensus(cameras: list[InitialCamera], detections: Detections) -> tup
     consensus = estimate_relative_pose(left, right, start_rms_px=start_px)
     share, typical = _quality(consensus)
     if share == 1.0 and typical < trusted_px:
-        return consensus, None
+        return consensus, no_symmetry(len(detections.object_points_m))
     symmetries = board_symmetries(detections.object_points_m)
     if len(symmetries.names) > 1:
         other = estimate_relative_pose(left, right, symmetries.motions, max_proposals=32, start_rms_px=start_px)

@@ -52,17 +52,20 @@ def estimate_relative_pose(
     max_proposals: int = _MAX_PROPOSALS,
     n_iterations: int = 3,
     start_rms_px: float = 0.0,
-) -> Consensus | None:
-    """Consensus over the views that both cameras see, or None where no view has both.
+) -> Consensus:
+    """Consensus over the views that both cameras see.
 
     ``symmetries``: transforms of the board onto itself, the identity first; a view may use any of them on its right
     pose (``T_right_board S``). Proposals come from at most ``max_proposals`` evenly chosen views.
     ``start_rms_px`` is what the cameras' own starts miss by: no view is blamed for less than six times that.
+
+    Raises:
+        ValueError: No view has both images.
     """
     both = np.flatnonzero(left.is_usable & right.is_usable)
     n_views = len(left.is_usable)
     if not len(both):
-        return None
+        raise ValueError("no view has both images: nothing ties the cameras to one another")
     S = SE3(np.eye(3)[None], np.zeros((1, 3))) if symmetries is None else symmetries
     L = SE3(left.R[both], left.t[both])
     R = SE3(right.R[both], right.t[both])

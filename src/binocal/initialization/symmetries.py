@@ -40,6 +40,11 @@ class BoardSymmetries:
         return next(i for i in range(len(self.names)) if np.array_equal(self.order[k][self.order[i]], identity))
 
 
+def no_symmetry(n_points: int) -> BoardSymmetries:
+    """The identity alone."""
+    return BoardSymmetries(("",), SE3(np.eye(3)[None], np.zeros((1, 3))), np.arange(n_points)[None])
+
+
 def board_symmetries(object_points: Float[ndarray, "n d"]) -> BoardSymmetries:
     """Symmetries of planar points (z = 0), found geometrically among the eight of a square."""
     xy = np.asarray(object_points, dtype=float)[:, :2]

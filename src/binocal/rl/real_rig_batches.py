@@ -26,11 +26,9 @@ def rigs_from_calibration(calibration: StereoCalibration, n_rigs: int, rng: np.r
 
     Raises:
         TooFewViewsError: Fewer than six views: a half would not hold three.
-        ValueError: The calibration holds no corners (it was read from a file).
+        DataError: The calibration holds no corners (it was read from a file).
     """
-    if calibration.evidence is None:
-        raise ValueError("a calibration read from a file holds no corners to train on")
-    detections, poses = calibration.evidence.detections, calibration.evidence.T_left_board
+    detections, poses = calibration.corners.detections, calibration.corners.T_left_board
     n_views = min(detections.n_views // 2, MAX_VIEWS_PER_RIG)
     if n_views < MIN_VIEWS_PER_RIG:
         raise TooFewViewsError(detections.n_views, 2 * MIN_VIEWS_PER_RIG)

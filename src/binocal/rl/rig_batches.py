@@ -196,13 +196,12 @@ def sample_starts(rigs: RigBatch, rng: np.random.Generator) -> BundleEstimate:
         R[todo] = so3.exp(w) @ rigs.optimum.T_right_left.R[todo]
         t[todo] = rigs.optimum.T_right_left.t[todo] + shift
         start = replace(rigs.optimum, T_left_board=rigs.left_poses, T_right_left=SE3.unchecked(R, t))
-        part = rigs.select(todo)
-        r2 = part.problem.residual_lengths2(take_rigs(start, todo))
+        r2 = rigs.select(todo).problem.residual_lengths2(take_rigs(start, todo))
         todo = todo[~np.all([np.isfinite(side).all(axis=(1, 2)) for side in r2], axis=0)]
         if not len(todo):
             break
-    R[todo] = np.nan  # those of the start
-    return start
+    R[todo] = np.nan
+    return replace(rigs.optimum, T_left_board=rigs.left_poses, T_right_left=SE3.unchecked(R, t))
 
 
 def distance_sigma(rigs: RigBatch, estimate: BundleEstimate) -> Float[ndarray, "rigs"]:

@@ -291,7 +291,8 @@ class BundleProblem:
             equations.append(
                 accumulate(c.model.name, *given) if is_compiled else plain_equations.accumulate(c.model, *given)
             )
-        cost = sum(e.cost_px2.sum(axis=-1) for e in equations)
+        costs = [e.cost_px2.sum(axis=-1) for e in equations]
+        cost = costs[0] + costs[1] if self.is_stereo else costs[0]
         energy = np.zeros(cost.shape)
         for parameters in estimate.parameters:
             has_focal = parameters[..., :2] > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy import ndarray
@@ -53,10 +54,8 @@ def estimate_board_poses(
     else:
         candidates, is_found = _closed_form_starts(rig, detections)
     problem = _one_view_problems(rig, detections, weights or CornerWeights())
-    best: BundleMinimum | None = None
-    for T_left_board in candidates:
-        found = _solve(problem, rig, T_left_board, is_close=start is not None)
-        best = found if best is None else _better(found, best)
+    found = (_solve(problem, rig, T_left_board, is_close=start is not None) for T_left_board in candidates)
+    best = reduce(lambda best, other: _better(other, best), found)
     r2 = [
         np.where(camera.is_seen[:, 0] & is_found[:, None], e.r2_px2[:, 0], np.nan)
         for camera, e in zip(problem.cameras, best.equations.cameras, strict=True)

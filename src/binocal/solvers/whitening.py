@@ -76,9 +76,7 @@ def inverse_root(covariance_px2: Float[ndarray, "views n 2 2"], misfit_px: float
     return np.stack([a, -c * xy / xx, c], axis=-2)
 
 
-def estimate_misfit_px(
-    detections: Detections, r2_px2: tuple[Float[ndarray, "views n"], Float[ndarray, "views n"]]
-) -> float:
+def estimate_misfit_px(detections: Detections, r2_px2: tuple[Float[ndarray, "views n"], ...]) -> float:
     """The misfit that, added to the covariances, makes the median residual what it should be; 0 where none is needed.
 
     ``r2_px2`` are squared lengths in pixels, not whitened. Each corner's variance is its covariance's mean over the
