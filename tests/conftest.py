@@ -24,6 +24,13 @@ CHECKED = [
     "result",
     "evidence",
     "values",
+    "solvers",
+    "calibrators",
+    "rl",
+    "formats",
+    "app",
+    "benchmark",
+    "report",
 ]
 jaxtyping.install_import_hook([f"binocal.{name}" for name in CHECKED], "shape_checks.checked")
 

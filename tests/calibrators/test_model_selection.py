@@ -39,6 +39,7 @@ def trial(model, held_out_px2, calibration="fitted"):
     return ModelTrial(model, calibration, "" if calibration else "failed", np.asarray(held_out_px2, dtype=float))
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_the_simplest_within_one_standard_error_wins():
     rng = np.random.default_rng(0)
     base = 0.01 + 0.002 * rng.random(12)
@@ -50,6 +51,7 @@ def test_the_simplest_within_one_standard_error_wins():
     assert chosen.model == "brown4"
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_a_model_that_failed_is_named_and_cannot_win():
     chosen, reason = choose_model([trial("brown4", [np.nan] * 4, None), trial("fisheye4", [0.1, 0.2, 0.1, 0.3])])
     assert chosen.model == "fisheye4" and "brown4 could not be fitted" in reason

@@ -67,7 +67,7 @@ def test_what_was_not_measured_is_left_out(tmp_path):
     run, none = made_up_run(0), np.zeros(0)
     bare = replace(
         run, target_lag=np.full(len(run.step), np.nan), value_predicted=none, value_monte_carlo=none,
-        held_out_step=none, held_out_success=none, held_out_iterations=none,
+        held_out_step=none.astype(int), held_out_success=none, held_out_iterations=none,
     )  # fmt: skip
     text, _ = drawn([bare], tmp_path / "bare.svg")
     assert "Target lag" in text

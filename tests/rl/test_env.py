@@ -197,6 +197,7 @@ def test_what_a_step_gives_out_is_not_written_to_later():
         assert_alike(a, b)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -56,6 +56,7 @@ def test_an_archive_of_other_arrays_is_refused(tmp_path):
         load_history(tmp_path / "run.npz")
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_what_does_not_fit_is_refused():
     run = made_up_run(0)
     with pytest.raises(ValueError, match="soft or hard"):

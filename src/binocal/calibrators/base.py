@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from binocal.errors import CancelledError
 from binocal.evidence import Detections
@@ -71,6 +71,7 @@ class CalibrationRequest:
                 raise ValueError(f"the calibrator has no option {name!r}; it has {', '.join(known) or 'none'}")
 
 
+@runtime_checkable
 class Calibrator(Protocol):
     """A method that calibrates a stereo rig.
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from binocal.cameras import StereoRig
 
 
+@runtime_checkable
 class RigWriter(Protocol):
     """Writes a rig, aside and then renamed.
 

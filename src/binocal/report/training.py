@@ -128,7 +128,7 @@ def _curve(
     axes: Axes,
     kind: str,
     group: list[TrainingHistory],
-    lines: list[tuple[Int[ndarray, "n"], Float[ndarray, "n"]]],
+    lines: list[tuple[Int[ndarray, "_"], Float[ndarray, "_"]]],
     linestyle: str = "-",
 ) -> None:
     """The median over runs and, of several, the band from least to greatest."""

@@ -42,7 +42,7 @@ class Policy:
     kind: AgentKind
     mean: Float[ndarray, "o"]
     spread: Float[ndarray, "o"]
-    layers: tuple[tuple[Float[ndarray, "out in"], Float[ndarray, "out"]], ...]
+    layers: tuple[tuple[Float[ndarray, "_ _"], Float[ndarray, "_"]], ...]
     card: Mapping[str, Any]
 
     def __call__(self, observed: Float[ndarray, "*batch o"]) -> Float[ndarray, "*batch a"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy import ndarray
@@ -17,6 +17,7 @@ CLOSING_RATIO = 0.9  # the scale fell by more than this in a step: the kernel is
 SETTLED_SHARE = 0.01  # of the scale; a difference that no weight feels
 
 
+@runtime_checkable
 class Rules(Protocol[E, Q, S]):
     """What :func:`binocal.solvers.loop.iterate` leaves open."""
 

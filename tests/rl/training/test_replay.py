@@ -9,7 +9,7 @@ from binocal.rl.training.replay import ReplayBuffer
 
 def numbered(first: int, n: int) -> tuple[np.ndarray, ...]:
     """Transitions whose every entry tells which one it is."""
-    i = np.arange(first, first + n)
+    i = np.arange(first, first + n, dtype=float)
     return np.stack([i, i], axis=1), i[:, None] / 100, -i, np.stack([i + 1, i + 1], axis=1), i % 2 == 0
 
 
