@@ -36,7 +36,9 @@ def make_rig(
     focal = 600.0 if model == "fisheye4" else 1600.0
     left = Camera(model, (1280, 960), np.r_[focal, focal + 3, 643.5, 471.25, skew, DISTORTION[model]])
     right = Camera(model, (1280, 960), np.r_[focal + 7, focal + 9, 630.1, 484.7, skew, DISTORTION[model]])
-    return StereoRig(left, right, SE3(so3.exp(np.array(rotation_rad)), np.array(t)), is_metric)
+    return StereoRig(
+        left, right, SE3(so3.exp(np.array(rotation_rad, dtype=float)), np.array(t, dtype=float)), is_metric
+    )
 
 
 def make_poses(n_views: int, rng: np.random.Generator) -> SE3:

@@ -72,6 +72,7 @@ def test_the_environment_sets_the_default(monkeypatch):
     assert threads.n_threads() == 5
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("text", ["0", "-2", "many", "1.5"])
 def test_a_wrong_number_is_named(monkeypatch, text):
     with pytest.raises(ValueError, match="number of threads must be a whole number"):

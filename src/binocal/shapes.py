@@ -26,7 +26,7 @@ else:
 
             array_type, shape = item
             kind = getattr(jaxtyping, self._name)
-            if array_type is np.ndarray and shape.startswith(("*", "...")):
+            if array_type is np.ndarray and shape.startswith(("*", "...")) and len(shape.split()) == 1:
                 # NumPy's functions return a scalar (np.float64) for an array without axes.
                 return kind[array_type, shape] | kind[np.generic, shape]
             return kind[array_type, shape]

@@ -112,6 +112,7 @@ def test_the_callers_log_level_comes_back(tmp_path):
     assert logging.getLogLevel() == before
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((4, 4, 2), np.uint8), np.zeros((0, 4), np.uint8)])
 def test_grey_of_what_is_no_image(image):
     with pytest.raises(ValueError, match=r"an image is"):

@@ -65,7 +65,7 @@ def simulate(
     while len(rotations) < n_views:
         about, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(*tilt_deg))
         R = so3.exp(tilt * np.array([np.cos(about), np.sin(about), 0])) @ so3.exp(
-            [0, 0, np.radians(rng.uniform(-20, 20))]
+            np.array([0, 0, np.radians(rng.uniform(-20, 20))])
         )
         z = (
             rng.uniform(*distance_m)

@@ -84,8 +84,8 @@ def test_no_view_is_refused() -> None:
 )
 def test_parallel_boards_are_named(tilt: tuple[float, float], words: str) -> None:
     rng = np.random.default_rng(0)
-    rolls = np.stack([so3.exp([0, 0, roll]) for roll in rng.uniform(-1, 1, 20)])
-    columns = (K_TRUE @ (so3.exp([*tilt, 0]) @ rolls))[..., :2]
+    rolls = np.stack([so3.exp(np.array([0, 0, roll])) for roll in rng.uniform(-1, 1, 20)])
+    columns = (K_TRUE @ (so3.exp(np.array([*tilt, 0.0])) @ rolls))[..., :2]
     columns += rng.normal(0, 1e-3, columns.shape)
     with pytest.raises(DegenerateGeometryError, match=words):
         check_orientations(K_TRUE, columns, _covariance(20, 1e-3), "left")

@@ -119,7 +119,7 @@ def test_a_tight_prior_wins_and_a_loose_one_says_nothing():
 def test_what_is_informed_can_be_a_part():
     # a camera on another mount: the intrinsics are known, the rig is new
     earlier = solved(recording(1)[1])
-    moved = replace(table2_rig(), T_right_left=SE3(so3.exp([0.02, 0.03, 0.0]), [-0.1, 0.0, 0.01]))
+    moved = replace(table2_rig(), T_right_left=SE3(so3.exp(np.array([0.02, 0.03, 0.0])), np.array([-0.1, 0.0, 0.01])))
     _, detections = recording(2, rig=moved)
     found = solved(detections, prior=RigPrior.from_calibration(earlier, parts=("left", "right")))
     error = offset(found, replace(found, rig=moved)) / np.sqrt(np.diag(found.covariance.matrix))
@@ -144,7 +144,7 @@ def test_the_gradient_is_the_slope_of_the_energy():
     # central differences, h = 1e-6 of each shared unknown; the prior is some degrees off so that the turn is curved
     scene, detections = recording(0, 5)
     T = scene.rig.T_right_left
-    away = replace(scene.rig, T_right_left=SE3(so3.exp([0.3, -0.2, 0.1]) @ T.R, T.t + [0.01, 0.02, -0.03]))
+    away = replace(scene.rig, T_right_left=SE3(so3.exp(np.array([0.3, -0.2, 0.1])) @ T.R, T.t + [0.01, 0.02, -0.03]))
     prior = RigPrior.from_rig(away, solved(recording(1)[1]).covariance)
     cameras = [
         CameraObservations.from_corners(CAMERA_MODELS["brown4"], px) for px in (detections.left_px, detections.right_px)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,12 +12,10 @@ from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError
 from binocal.evidence import Detections
 from binocal.formats import rig_json
+from binocal.metrics import image, pose
+from binocal.metrics.held_out import Criterion, criteria_on_exact_views, exact_views, is_inside
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import Covariance, RejectedView, StereoCalibration
-
-if TYPE_CHECKING:
-    from binocal.metrics import image, pose
-    from binocal.metrics.held_out import Criterion
 
 EXACT_VIEWS = 20
 SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
@@ -55,8 +52,6 @@ def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, see
     The bound is that of the views which the calibration used, for the corner noise that it measured. The criteria are measured on
     exact new views of the true rig, drawn from ``seed``.
     """
-    from binocal.metrics import pose
-    from binocal.metrics.held_out import criteria_on_exact_views, exact_views
 
     rig, notes = calibration.rig, []
     sigma = calibration.covariance.sigma
@@ -115,7 +110,6 @@ def evaluate_images(
 def _evaluate_detections(
     rig: StereoRig, detections: Detections, side_m: float, found: FoundCorners, notes: list[str]
 ) -> ImageEvaluation:
-    from binocal.metrics import image
     from binocal.metrics.order import order_corners
 
     ordered = order_corners(rig, detections)
@@ -144,8 +138,6 @@ def _bound(
     calibration: StereoCalibration, truth: rig_json.Truth, has_skew: bool, notes: list[str]
 ) -> tuple[StereoRig, Covariance] | None:
     """The true rig in the camera model that was estimated, and the Cramér-Rao bound there; None, with a note, without one."""
-    from binocal.metrics import pose
-    from binocal.metrics.held_out import is_inside
     from binocal.solvers.covariance import cramer_rao_bound
 
     left = pose.in_model(truth.rig.left, calibration.rig.left.model)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest, Calibrator, ProgressCallback, ShouldStop
 from binocal.calibrators.registry import CALIBRATORS, known_calibrators, load_calibrator
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
-
-if TYPE_CHECKING:
-    from binocal.solvers.prior import RigPrior
+from binocal.solvers.prior import RigPrior
 
 __all__ = [
     "CALIBRATORS",

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from binocal.errors import CancelledError
 from binocal.evidence import Detections
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import StereoCalibration
-
-if TYPE_CHECKING:
-    from binocal.solvers.prior import RigPrior
+from binocal.solvers.prior import RigPrior
 
 MIN_VIEWS = 3  # two views determine four intrinsics and leave nothing to check them with
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest, Calibrator
 from binocal.calibrators.joint import calibrate_jointly
@@ -21,9 +23,6 @@ from binocal.shapes import Float
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.controlled import ControlledMinimum, minimize_controlled
 from binocal.solvers.minimization import LoopOptions, minimize
-
-if TYPE_CHECKING:
-    from numpy import ndarray
 
 
 def calibrate_drl(evidence: Detections, request: CalibrationRequest) -> StereoCalibration:

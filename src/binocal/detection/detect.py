@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.detection.aprilgrid import TagLayout
+from binocal.detection.charuco import Layout
 from binocal.detection.chessboard import detect_chessboard
 from binocal.detection.found import FoundBoard, not_found
 from binocal.images.reading import to_grey
 from binocal.shapes import Float32, UInt8
-
-if TYPE_CHECKING:
-    from binocal.detection.aprilgrid import TagLayout
-    from binocal.detection.charuco import Layout
 
 MIN_SIDE_PX = 32
 BLANK_DN = 6.0  # of 255 after stretching at most fourfold

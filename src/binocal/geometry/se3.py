@@ -57,7 +57,7 @@ class SE3(ArrayValue):
         xi = np.asarray(xi, dtype=float)
         return SE3(so3.exp(xi[..., :3]), xi[..., 3:])
 
-    def apply(self, points: Float[ndarray, "*batch n 3"]) -> Float[ndarray, "*batch n 3"]:
+    def apply(self, points: Float[ndarray, "*points n 3"]) -> Float[ndarray, "*batch n 3"]:
         """Points of frame b, in frame a."""
         return np.asarray(points, dtype=float) @ self.R.swapaxes(-1, -2) + self.t[..., None, :]
 

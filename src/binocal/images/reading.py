@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 import numpy as np
 from numpy import ndarray
@@ -19,9 +19,8 @@ from binocal.images.containers import identify_container, structure_problem
 from binocal.images.opencv_settings import quiet_opencv
 from binocal.shapes import UInt8, UInt16
 
-if TYPE_CHECKING:
-    Image = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"] | UInt8[ndarray, "h w 3"] | UInt16[ndarray, "h w 3"]
-    GreyImage = UInt8[ndarray, "h w"] | UInt16[ndarray, "h w"]
+Image: TypeAlias = "UInt8[ndarray, 'h w'] | UInt16[ndarray, 'h w'] | UInt8[ndarray, 'h w 3'] | UInt16[ndarray, 'h w 3']"
+GreyImage: TypeAlias = "UInt8[ndarray, 'h w'] | UInt16[ndarray, 'h w']"
 
 _REMEDY = "export it as 8- or 16-bit PNG, TIFF, JPEG or BMP"
 

@@ -31,9 +31,10 @@ give other rigs: train on one, evaluate on another.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -58,10 +59,6 @@ from binocal.rl.task import (
 )
 from binocal.shapes import Bool, Float, Float32, Int
 from binocal.solvers.arrays import join_rigs, replace_rigs
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 OBSERVED_LIMIT = 10.0  # decades, or octaves; beyond it nothing changes what should be done
 TOLERANCE_SIGMA = 0.1

@@ -9,12 +9,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
+from binocal.rl.policy import Policy
 from binocal.rl.registration import MAX_STEPS
 from binocal.rl.rig_batches import RIG_SETS, RigBatch, remaining_sigma, sample_rigs, sample_starts
 from binocal.rl.task import KERNEL, n_actions
@@ -24,9 +24,6 @@ from binocal.solvers.board_views import BundleEstimate
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
 from binocal.solvers.loop import advance, begin
 from binocal.solvers.loop_state import Controller
-
-if TYPE_CHECKING:
-    from binocal.rl.policy import Policy
 
 TOLERANCE_SIGMA = {"stress": 0.3}
 DEFAULT_TOLERANCE_SIGMA = 0.1

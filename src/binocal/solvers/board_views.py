@@ -181,7 +181,7 @@ class ModelPrior:
         for camera, parameters, place in zip(problem.cameras, estimate.parameters, problem.places, strict=True):
             precision[place] = camera.prior_precision[camera.is_free]
             gradient[..., place] = -precision[place] * parameters[..., camera.is_free]
-        return np.diag(precision), gradient
+        return np.broadcast_to(np.diag(precision), (*estimate.batch, *(2 * precision.shape))), gradient
 
 
 MODEL_PRIOR = ModelPrior()

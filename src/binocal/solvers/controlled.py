@@ -9,9 +9,10 @@ estimate in any case, to its own stop rule.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from binocal.geometry import so3
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, BundleState, BundleStep
@@ -19,9 +20,6 @@ from binocal.solvers.loop import begin, run
 from binocal.solvers.loop_state import Action, Controller, Outcome
 from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, minimize
 from binocal.solvers.rules import FAR
-
-if TYPE_CHECKING:
-    from numpy import ndarray
 
 NEAR_SIGMA = 3.0  # over all unknowns, a fraction of it for each: two classical steps end there whoever controls
 FAR_TURN_RAD, FAR_SHIFT_SHARE = 0.01, 0.1  # of the next step of the rig: below both, projections hardly bend along it

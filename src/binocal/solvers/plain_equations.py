@@ -75,7 +75,9 @@ def squared_lengths(
     return np.where(is_seen, np.where(np.isfinite(r2), r2, np.inf), 0.0)
 
 
-def _whitened(vectors: Float[ndarray, "*any 2 n"], whitening: Float[ndarray, "*any 3 n"]) -> Float[ndarray, "*any 2 n"]:
+def _whitened(
+    vectors: Float[ndarray, "*any 2 n"], whitening: Float[ndarray, "*views 3 n"]
+) -> Float[ndarray, "*any 2 n"]:
     """Each vector times [[a, 0], [b, c]]."""
     a, b, c = np.moveaxis(whitening, -2, 0)
     return np.stack([a * vectors[..., 0, :], b * vectors[..., 0, :] + c * vectors[..., 1, :]], axis=-2)

@@ -135,6 +135,7 @@ def test_the_size_of_an_unknown_board(shoot):
     assert find_chessboard_size(np.full((300, 400), 100, np.uint8)) is None
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((40, 40, 2), np.uint8), np.zeros(40, np.uint8)])
 def test_what_is_no_image_is_the_callers_mistake(image):
     with pytest.raises(ValueError, match="an image is"):

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Bool, Float
 
-if TYPE_CHECKING:
-    Batch = tuple[ndarray, ndarray, ndarray, ndarray, ndarray]
+Batch = tuple[ndarray, ndarray, ndarray, ndarray, ndarray]
 
 
 class ReplayBuffer:

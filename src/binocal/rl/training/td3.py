@@ -11,15 +11,13 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import torch
+from numpy import ndarray
 from torch import Tensor
 
 from binocal.rl.training.networks import Actor, TwinCritic
-
-if TYPE_CHECKING:
-    from numpy import ndarray
 
 Targets = Literal["soft", "hard"]
 

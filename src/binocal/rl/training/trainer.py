@@ -11,11 +11,12 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from numpy import ndarray
+from torch import Tensor
 
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.episodes import EpisodeOutcome, Transitions, run_episodes
@@ -27,9 +28,6 @@ from binocal.rl.training.networks import Actor
 from binocal.rl.training.replay import ReplayBuffer
 from binocal.rl.training.td3 import TD3, TD3Options
 from binocal.shapes import Float
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 SMALL_BOARD = "chessboard:7x5:32mm"  # the size of the paper's board with two fifths of its corners: episodes cost less
 
