@@ -123,7 +123,7 @@ def test_a_rig_in_pitches_is_scaled_by_the_truths_board(fakes, truth):
     assert evaluation.comparison.translation_error_mm < 1e-9 and "board pitches" in evaluation.notes[0]
 
 
-def test_images_are_judged_without_truth(fakes):
+def test_images_are_evaluated_without_truth(fakes):
     evaluation = app.evaluate_images(fakes.rig, "l", "r", BOARD)
     assert evaluation.pixel_error.all_px < 1e-9 and evaluation.length_error.scale_rms_percent < 1e-7
     assert evaluation.row_error.rms_px < 1e-6 and evaluation.rejected == fakes.rejected

@@ -44,18 +44,18 @@ def test_the_verbs_load_no_more_than_they_need():
 
 @pytest.mark.parametrize("name", sorted(set(binocal.__all__) - {"__version__"}))
 def test_every_public_name_is_there(name):
-    home = binocal._HOME_OF[name]
-    if importlib.util.find_spec(home) is None:
-        pytest.skip(f"{home} is not part of this installation")
+    place = binocal._MODULE_OF[name]
+    if importlib.util.find_spec(place) is None:
+        pytest.skip(f"{place} is not part of this installation")
     assert getattr(binocal, name) is not None and name in dir(binocal)
 
 
 def test_one_door_leads_to_the_compiled_kernel():
     # import-linter sees Python modules only
-    home = Path(binocal.__file__).parent
-    outside = [path for path in home.rglob("*.py") if path.parent != home / "kernels"]
+    place = Path(binocal.__file__).parent
+    outside = [path for path in place.rglob("*.py") if path.parent != place / "kernels"]
     assert len(outside) > 50 and not [path for path in outside if "_kernel" in imported_names(path)]
-    assert "_kernel" in imported_names(home / "kernels" / "__init__.py")
+    assert "_kernel" in imported_names(place / "kernels" / "__init__.py")
 
 
 def imported_names(path: Path) -> set[str]:

@@ -1,4 +1,4 @@
-"""From a folder of images to an agent of one's own, and a rig that it led to."""
+"""From a folder of images to an agent of one's own, and a rig calibrated with it."""
 
 import json
 from importlib.resources import files
@@ -25,7 +25,7 @@ def images(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_half_of_the_images_trains_and_the_other_half_judges(images, tmp_path, capsys):
+def test_half_of_the_images_trains_and_the_other_half_evaluates(images, tmp_path, capsys):
     arguments = ["train", "--data", str(images), "--output", str(tmp_path / "agent")]  # truth.json names the board
     assert main([*arguments, "--steps", "3000", "--rigs", "12"]) == 0
     out = capsys.readouterr().out
@@ -37,12 +37,12 @@ def test_half_of_the_images_trains_and_the_other_half_judges(images, tmp_path, c
     assert "7 pairs of real images" in card and "actor [16]" in card and "from the images of the second half" in card
 
     weights = str(tmp_path / "agent" / "weights.safetensors")
-    road = ["calibrate", "--left", str(images / "left*"), "--right", str(images / "right*"), "--model", "brown4"]
-    road += ["--board", "chessboard:8x5:20mm"]
+    arguments = ["calibrate", "--left", str(images / "left*"), "--right", str(images / "right*"), "--model", "brown4"]
+    arguments += ["--board", "chessboard:8x5:20mm"]
     rigs = []
     for name in (weights, "lm"):
         output = tmp_path / "rig.json"
-        assert main([*road, "--calibrator", name, "--output", str(output), "--force"]) == 0
+        assert main([*arguments, "--calibrator", name, "--output", str(output), "--force"]) == 0
         rigs.append(json.loads(output.read_text()))
     np.testing.assert_allclose(*(rig["T"] for rig in rigs), rtol=1e-6, atol=1e-9)
     assert rigs[0]["provenance"]["calibrator"] == weights and "agent" in rigs[0]["provenance"]

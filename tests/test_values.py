@@ -114,3 +114,19 @@ def test_an_exception_keeps_its_text_fields_and_notes(error, how):
     other = COPIES[how](error)
     assert type(other) is type(error) and str(other) == str(error) and vars(other) == vars(error)
     assert other.__notes__[0].startswith("ignored")
+
+
+def test_a_calibration_and_its_corners_print_within_ten_lines():
+    value = VALUES["calibration"]
+    lines = repr(value).splitlines()
+    assert len(lines) <= 10 and max(map(len, lines)) <= 120
+    assert lines[0].startswith("<StereoCalibration: brown4, 6 of 6 views, RMS 0.1") and lines[-1] == "  findings: none>"
+    fx, sigma = value.rig.left.parameters[0], value.covariance.sigma["left.fx"]
+    assert f"left  1280x960 px: fx {fx:.1f} ± {sigma:.1f}, fy" in lines[1]
+    assert "pitch" in lines[3] and "roll" in lines[3]
+    assert lines[4].startswith("  baseline 59.9") or lines[4].startswith("  baseline 60.0")
+    corners = repr(value.corners.detections)
+    assert corners == (
+        "<Detections: 6 views of 35 points; left 1280x960: 210 corners in 6 views; "
+        "right 1280x960: 210 corners in 6 views>"
+    )

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from binocal.threads import set_threads
 
 # Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
-_HOMES = {
+_NAMES_IN = {
     "binocal.boards": ("Board", "load_board"),
     "binocal.calibrators": ("CalibrationRequest", "calibrate"),
     "binocal.cameras": ("Camera", "StereoRig"),
@@ -77,7 +77,7 @@ _HOMES = {
         "ViewResult",
     ),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+_MODULE_OF = {name: module for module, names in _NAMES_IN.items() for name in names}
 
 __all__ = [
     "SE3",
@@ -123,15 +123,15 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'binocal' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    value = getattr(importlib.import_module(_MODULE_OF[name]), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME_OF})
+    return sorted({*globals(), *_MODULE_OF})
 
 
 class _Package(ModuleType):

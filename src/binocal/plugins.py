@@ -36,7 +36,7 @@ def load_plugin(group: str, name: str, kind: type | None = None) -> Any:
     package = entry.dist.name if entry.dist is not None else entry.module
     try:
         value = entry.load()
-    except Exception as error:  # whatever a stranger's module raises while it is imported
+    except Exception as error:  # whatever another package's module raises while it is imported
         raise PluginError(
             group, name, package, f"{entry.value} fails to load: {type(error).__name__}: {error}"
         ) from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,7 +16,7 @@ from binocal.evidence import Detections
 from binocal.findings import Finding, Severity
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
-from binocal.values import ArrayValue, frozen_array
+from binocal.values import ArrayValue, frozen_array, with_sigma
 
 SAME_RMS_PX, SAME_RMS_SHARE = (
     1e-7,
@@ -58,10 +59,7 @@ class Covariance(ArrayValue):
 
 @dataclass(frozen=True, slots=True)
 class ResidualSummary:
-    """RMS distance, pixels, between measured and predicted corners (OpenCV's convention.
-
-    Per corner, not per coordinate).
-    """
+    """RMS distance between measured and predicted corners, pixels: per corner, not per coordinate (OpenCV's convention)."""
 
     left_px: float
     right_px: float
@@ -70,10 +68,7 @@ class ResidualSummary:
 
 @dataclass(frozen=True, slots=True)
 class OutlierCorner:
-    """A corner that the solver gave no weight.
-
-    Which camera (``left`` or ``right``), its index on the board, its distance from the fit.
-    """
+    """A corner that the solver gave no weight: its camera (``left`` or ``right``), index on the board, distance from the fit."""
 
     camera: str
     corner: int
@@ -129,7 +124,7 @@ class Evidence:
     misfit_px: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class StereoCalibration:
     """The result of every calibrator.
 
@@ -142,7 +137,7 @@ class StereoCalibration:
     rms: ResidualSummary
     noise_px: float
     """Estimated standard deviation of one corner coordinate, pixels; where corners carry covariances, that of as many
-    equal corners that would tell as much."""
+    equal corners that would carry as much information."""
     views: tuple[ViewResult, ...]
     rejected: tuple[RejectedView, ...] = ()
     findings: tuple[Finding, ...] = ()
@@ -162,6 +157,26 @@ class StereoCalibration:
         if self.evidence is not None:
             object.__setattr__(self, "T_left_board", self.evidence.T_left_board)
             object.__setattr__(self, "misfit_px", self.evidence.misfit_px)
+
+    def __repr__(self) -> str:
+        rig, sigma = self.rig, self.covariance.sigma
+        n_all = len(self.views) + len(self.rejected)
+        lines = [
+            f"<StereoCalibration: {rig.left.model}, {len(self.views)} of {n_all} views, RMS {self.rms.all_px:.3f} px, "
+            f"noise {self.noise_px:.3f} px per coordinate"
+        ]
+        for side, camera in (("left", rig.left), ("right", rig.right)):
+            values = zip(("fx", "fy", "cx", "cy"), camera.parameters.tolist(), strict=False)
+            figures = ", ".join(f"{n} {with_sigma(x, sigma.get(f'{side}.{n}', math.nan))}" for n, x in values)
+            lines.append(f"{side:5} {camera.size_wh[0]}x{camera.size_wh[1]} px: {figures}")
+        angles = zip(("pitch", "yaw", "roll"), np.degrees(rig.euler_rad), np.degrees(self.euler_sigma_rad), strict=True)
+        lines.append("turn  " + ", ".join(f"{n} {with_sigma(x, s)}" for n, x, s in angles) + " deg")
+        unit, factor = rig.printed_unit
+        baseline = with_sigma(factor * rig.baseline_m, factor * self.baseline_sigma_m)
+        lines.append(f"baseline {baseline} {unit}")
+        codes = [f"{found.code} ({found.severity.value})" for found in self.findings]
+        lines.append("findings: " + (", ".join(codes) if codes else "none") + ">")
+        return "\n  ".join(lines)
 
     @property
     def warnings(self) -> tuple[str, ...]:

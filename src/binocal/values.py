@@ -1,7 +1,8 @@
-"""What binocal's value types have in common: arrays that nobody can change, after pickling and copying too."""
+"""What binocal's value types have in common: arrays that nobody can change, after pickling and copying too, and how they print."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 from typing import Any
 
@@ -27,3 +28,13 @@ class ArrayValue:
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
         """The class and its fields, in the constructor's order."""
         return type(self), tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """``1600.123 ± 0.045``: the value to the digits that its standard deviation leaves meaningful."""
+    if not math.isfinite(value):
+        return "unknown"
+    if not (math.isfinite(sigma) and sigma > 0):
+        return f"{value:.6g}"
+    digits = min(12, max(0, 1 - math.floor(math.log10(sigma))))
+    return f"{value:.{digits}f} ± {sigma:.{digits}f}"

@@ -111,7 +111,7 @@ def codes(calibration):
 
 def test_a_sound_calibration_passes_every_rule(sound):
     assert codes(sound) == []
-    assert acceptance.judge(sound, is_converged=True).findings == ()
+    assert acceptance.apply_rules(sound, is_converged=True).findings == ()
 
 
 @pytest.mark.parametrize("code", [rule.code for rule in acceptance.RULES])
@@ -125,7 +125,7 @@ def test_a_rule_speaks_just_beyond_its_limit_and_not_before(sound, code):
 def test_a_refusal_is_raised_with_its_finding_and_what_the_views_show(sound, code):
     error = KINDS[code].error
     with pytest.raises(error) as caught:
-        acceptance.judge(cases(sound)[code][1], is_converged=True)
+        acceptance.apply_rules(cases(sound)[code][1], is_converged=True)
     (found,) = caught.value.findings
     assert found.code == code and found.text == str(caught.value) and found.remedy in found.text
     assert set(caught.value.rejected) == {view.name for view in sound.views}
@@ -135,11 +135,11 @@ def test_a_refusal_is_raised_with_its_finding_and_what_the_views_show(sound, cod
 @pytest.mark.parametrize("code", ["focal-length-uncertain", "corners-without-weight", "image-size-doubtful"])
 def test_a_warning_is_kept_before_those_of_the_views(sound, code):
     own = finding("cameras-exchanged")
-    judged = acceptance.judge(replace(cases(sound)[code][1], findings=(own,)), is_converged=True)
-    assert {found.code for found in judged.findings} == {code, "cameras-exchanged"}
-    assert judged.warnings == tuple(found.text for found in judged.findings)
+    reviewed = acceptance.apply_rules(replace(cases(sound)[code][1], findings=(own,)), is_converged=True)
+    assert {found.code for found in reviewed.findings} == {code, "cameras-exchanged"}
+    assert reviewed.warnings == tuple(found.text for found in reviewed.findings)
     if code != "corners-without-weight":  # the solve's own last
-        assert judged.findings[-1] is own
+        assert reviewed.findings[-1] is own
 
 
 def test_parallel_views_are_refused_unless_the_focal_length_is_known(sound):
@@ -169,7 +169,7 @@ def test_a_size_is_doubted_only_where_both_are_short_and_no_corner_lies_beyond(s
 
 def test_a_solve_that_did_not_converge_is_no_result(sound):
     with pytest.raises(NotConvergedError, match="did not reach a minimum") as caught:
-        acceptance.judge(sound, is_converged=False)
+        acceptance.apply_rules(sound, is_converged=False)
     assert caught.value.findings[0].code == "not-converged"
 
 
@@ -178,16 +178,16 @@ def test_residuals_come_before_geometry(sound):
     spacing_px = corner_spacing_px(sound.evidence.detections)
     both = with_sigma(replace(sound, noise_px=spacing_px), rotation_x=0.1)
     with pytest.raises(InconsistentViewsError):
-        acceptance.judge(both, is_converged=True)
+        acceptance.apply_rules(both, is_converged=True)
     with pytest.raises(DegenerateGeometryError):
-        acceptance.judge(replace(both, noise_px=sound.noise_px), is_converged=False)
+        acceptance.apply_rules(replace(both, noise_px=sound.noise_px), is_converged=False)
 
 
-def test_what_has_no_evidence_is_judged_by_the_rest(sound):
+def test_what_has_no_evidence_is_reviewed_by_the_rest(sound):
     bare = replace(sound, evidence=None, noise_px=100.0)
     assert codes(bare) == []
     with pytest.raises(BinocalError) as caught:
-        acceptance.judge(with_sigma(bare, rotation_x=0.1), is_converged=True)
+        acceptance.apply_rules(with_sigma(bare, rotation_x=0.1), is_converged=True)
     assert caught.value.rejected == {}
 
 

@@ -19,7 +19,7 @@ def scene_of(spec):
     return DetectionScene(np.zeros((60, 80), np.uint8), board, 20 * board.object_points_m[:, :2] / 0.02, 20.0, "")
 
 
-def test_corners_are_judged_in_the_orders_that_the_colours_allow():
+def test_corners_are_compared_in_the_orders_that_the_colours_allow():
     odd, even = scene_of("chessboard:4x3:20mm"), scene_of("chessboard:5x3:20mm")
     assert is_in_place(odd.corners_px, odd) and not is_in_place(odd.corners_px[::-1], odd)
     assert is_in_place(even.corners_px, even) and is_in_place(even.corners_px[::-1], even)

@@ -31,7 +31,7 @@ def test_scale_reports_time_memory_and_what_the_choice_costs():
     assert table["text"].count("\n") == 3
 
 
-def test_rigs_from_images_are_compared_with_both_of_opencvs_roads():
+def test_rigs_from_images_are_compared_with_both_of_opencvs_calibrations():
     table = run("rig", pairs=8, sets=2, seed=1)
     rows = {row["way"]: row for row in table["rows"]}
     assert set(rows) == {"binocal", "binocal, brown5", "OpenCV, joint", "OpenCV, tutorial"}

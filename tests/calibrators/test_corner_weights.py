@@ -19,7 +19,7 @@ NAMES = [f"{part}.{axis}" for part in ("rotation", "translation") for axis in "x
 
 
 def mixed_covariances(rng, n_views):
-    """Every other view blurred (.06 px against .01), corners of one view within 30 %, ellipses 2:1 any way round."""
+    """Every other view blurred (0.06 px against 0.01), corners of one view within 30 %, ellipses 2:1 any way round."""
     sigma = np.where(np.arange(n_views) % 2, 0.06, 0.01)[:, None] * np.exp(
         rng.normal(0, 0.3, (n_views, BOARD.n_points))
     )
@@ -77,13 +77,13 @@ def test_blurred_corners_are_no_outliers_and_the_weights_are_stated():
     stated = weighted.provenance["corner_weights"]
     assert stated["covariances"] is True and stated["misfit_px"] == weighted.evidence.misfit_px < 0.005
     assert plain.provenance["corner_weights"] == {"covariances": False, "misfit_px": 0.0}
-    # residuals are pixels whatever the weights: the blurred half's .06 px times 1.4 and .7 dominates
+    # residuals are pixels whatever the weights: the blurred half's 0.06 px times 1.4 and 0.7 dominates
     assert weighted.rms.all_px == pytest.approx(0.07, rel=0.1)
     assert weighted.noise_px < 0.02
 
 
 def test_covariances_that_say_nothing_of_the_misfit_do_no_harm():
-    # corners stated to .002-.02 px that really scatter by .2: the rig is that of equal weights, to a twentieth of a sigma
+    # corners stated to 0.002 to 0.02 px that really scatter by 0.2: the rig is that of equal weights, to a twentieth of a sigma
     rng, rig = np.random.default_rng(1), table2_rig()
     scene = StereoScene(rig, BOARD, sample_board_poses(rig, BOARD, 12, rng))
     detections = simulate_detections(scene, rng, noise_px=0.2)

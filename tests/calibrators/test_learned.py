@@ -28,7 +28,7 @@ def make_detections(seed=0, *, outlier_share=0.0, n_views=12, noise_px=0.2):
 
 
 @pytest.fixture
-def always_led(monkeypatch):
+def always_controlled(monkeypatch):
     """The agent leads from every start, near ones too."""
     monkeypatch.setattr(controlled, "FAR_PX", 0.0)
     monkeypatch.setattr(controlled, "FAR_TURN_RAD", 0.0)
@@ -46,7 +46,7 @@ def random_weights(seed):
 
 @pytest.mark.parametrize("outlier_share", [0.0, 0.05])
 @pytest.mark.parametrize("calibrator", ["drl", "drl-increments"])
-def test_the_answer_is_that_of_lm_though_the_agent_leads(calibrator, outlier_share, always_led):
+def test_the_answer_is_that_of_lm_though_the_agent_leads(calibrator, outlier_share, always_controlled):
     # asked: 0.01 sigma. The classical loop itself stops where the next step is shorter than 0.02 over all unknowns
     for seed in range(4):
         detections = make_detections(seed, outlier_share=outlier_share)
@@ -57,7 +57,7 @@ def test_the_answer_is_that_of_lm_though_the_agent_leads(calibrator, outlier_sha
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_random_weights_change_the_way_and_not_the_answer(seed, always_led):
+def test_random_weights_change_the_way_and_not_the_answer(seed, always_controlled):
     detections = make_detections(seed, outlier_share=0.03)
     lm = binocal.calibrate(detections, calibrator="lm", model="brown4")
     drl = calibrate_with_policy(detections, REQUEST, random_weights(seed))
@@ -65,14 +65,14 @@ def test_random_weights_change_the_way_and_not_the_answer(seed, always_led):
     assert drl.n_iterations >= lm.n_iterations
 
 
-def test_weights_that_are_not_numbers_hand_over_and_say_so(always_led):
+def test_weights_that_are_not_numbers_fall_back_and_say_so(always_controlled):
     detections = make_detections(1)
     broken = calibrate_with_policy(detections, REQUEST, with_weights(lambda a: a * np.nan))
     assert largest_difference_sigma(binocal.calibrate(detections, calibrator="lm", model="brown4"), broken) < 0.01
     assert any("not finite" in solve["fallback_reason"] for solve in broken.provenance["agent"]["solves"])
 
 
-def test_the_result_tells_what_the_agent_did(always_led):
+def test_the_result_tells_what_the_agent_did(always_controlled):
     agent = binocal.calibrate(make_detections(2), model="brown4").provenance["agent"]
     iterations = [iteration for solve in agent["solves"] for iteration in solve["iterations"]]
     assert agent["iterations"] == len(iterations) > 0
@@ -81,7 +81,7 @@ def test_the_result_tells_what_the_agent_did(always_led):
     assert all(solve["remaining_sigma"] >= 0 for solve in agent["solves"])
 
 
-def test_mistakes_are_found_with_the_agent_as_without_it(always_led):
+def test_mistakes_are_found_with_the_agent_as_without_it(always_controlled):
     detections = flip_view(make_detections(3), 4, side="right")
     lm, drl = (binocal.calibrate(detections, calibrator=name, model="brown4") for name in ("lm", "drl"))
     assert largest_difference_sigma(lm, drl) < 0.01

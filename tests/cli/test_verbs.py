@@ -37,7 +37,7 @@ def test_calibrate_writes_the_rig_and_a_summary(fakes, capsys):
     assert main([*CALIBRATE, "--output", "new/rig.json"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith("warning: left and right look exchanged")
-    assert "gamma" in out and "baseline       mm" in out and "Views    6 used, 1 dropped" in out
+    assert "yaw" in out and "baseline" in out and "Views    6 used, 1 dropped" in out
     assert "07: no board found in the right image" in out and "Wrote    new/rig.json" in out
     assert "ignored left99 copy.png: a copy of left99.png" in err and "dropped 07: no board found" in err
     assert rig_json.read_rig("new/rig.json").baseline_m == pytest.approx(fakes.rig.baseline_m)

@@ -82,3 +82,10 @@ def test_inverse_left_jacobian_is_the_slope_of_the_logarithm(angle_rad):
         d[i] = 1e-6
         slopes.append((so3.log(so3.exp(d) @ so3.exp(w)) - so3.log(so3.exp(-d) @ so3.exp(w))) / 2e-6)
     np.testing.assert_allclose(so3.inverse_left_jacobian(w), np.stack(slopes, axis=-1), atol=1e-8)
+
+
+def test_paper_angles_are_pitch_yaw_and_roll_of_the_right_camera():
+    """Turns about the camera's own axes, in this order: the convention that the command line prints."""
+    pitch, yaw, roll = 0.2, -0.3, 0.4
+    turn = so3.exp(np.array([pitch, 0, 0])) @ so3.exp(np.array([0, yaw, 0])) @ so3.exp(np.array([0, 0, roll]))
+    np.testing.assert_allclose(so3.to_paper_angles(turn.T), (pitch, yaw, roll), atol=1e-12)

@@ -49,13 +49,13 @@ def test_pooling_is_the_plain_statement(size, has_places):
 def test_a_corner_that_was_led_astray_moves_no_other(size):
     fits, xy = make_fits(*size)
     clean = pool_corners(fits, xy).points_px
-    astray = np.array([1, size[0] + 2])
+    spoiled = np.array([1, size[0] + 2])
     raw = fits.raw.copy()
-    raw[astray, 0] += 20.0
+    raw[spoiled, 0] += 20.0
     pooled = pool_corners(CornerFits(raw), xy).points_px
-    others = np.delete(np.arange(len(raw)), astray)
-    assert np.nanmax(np.abs(pooled - clean)[others]) < 0.003  # measured: .001; without the guard .3
-    assert np.nanmax(np.abs(pooled[astray] - raw[astray, :2])) < 0.15
+    others = np.delete(np.arange(len(raw)), spoiled)
+    assert np.nanmax(np.abs(pooled - clean)[others]) < 0.003  # measured: 0.001; without the guard 0.3
+    assert np.nanmax(np.abs(pooled[spoiled] - raw[spoiled, :2])) < 0.15
 
 
 def test_no_fit_gives_no_noise():

@@ -224,7 +224,7 @@ def test_wrong_use_is_named():
         StereoExtrinsicsVectorEnv(2, **FEW).reset(seed=[1])
 
 
-def test_stress_is_judged_at_its_own_tolerance():
+def test_stress_is_evaluated_at_its_own_tolerance():
     assert EnvOptions().arrival_sigma == 0.1 and EnvOptions("stress").arrival_sigma == 0.3
     assert EnvOptions("stress", tolerance_sigma=0.2).arrival_sigma == 0.2
 

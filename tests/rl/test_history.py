@@ -25,7 +25,7 @@ def test_a_loss_that_never_fell_did_not_converge():
 
 def test_scatter_of_single_updates_does_not_put_convergence_off():
     run = made_up_run(0)
-    assert 200 < run.converged_step < 700  # exp(-step / 100) is .05 at 300
+    assert 200 < run.converged_step < 700  # exp(-step / 100) is 0.05 at 300
 
 
 def test_smoothing_is_the_mean_of_the_last_two_percent():

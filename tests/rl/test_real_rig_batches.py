@@ -31,7 +31,7 @@ def real(calibration):
     return rigs_from_calibration(calibration, 16, np.random.default_rng(0))
 
 
-def test_near_the_optimum_the_way_left_is_the_length_of_the_newton_step(real):
+def test_near_the_optimum_the_remaining_distance_is_the_length_of_the_newton_step(real):
     at = begin(real.problem, real.optimum, KERNEL, real.lowest.scale_px)
     assert remaining_sigma(real, at).max() < 1e-3
     rng = np.random.default_rng(1)

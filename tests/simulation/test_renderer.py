@@ -49,8 +49,8 @@ def test_opencvs_chessboard_finder_agrees(seed):
     if np.abs(corners[0] - image.corners_px[0]).max() > 20:
         corners = corners[::-1]
     error = corners - image.corners_px
-    assert np.abs(error.mean(axis=0)).max() < 0.02  # measured .004
-    assert np.abs(error).max() < 0.15  # measured .08
+    assert np.abs(error.mean(axis=0)).max() < 0.02  # measured 0.004
+    assert np.abs(error).max() < 0.15  # measured 0.08
 
 
 @pytest.mark.parametrize("is_legacy", [False, True])
@@ -63,7 +63,7 @@ def test_opencvs_charuco_detector_agrees(is_legacy):
     assert sorted(ids.ravel()) == list(range(board.n_points))
     assert np.allclose(theirs.getChessboardCorners(), board.object_points_m)
     error = corners.reshape(-1, 2) - image.corners_px[ids.ravel()]
-    assert np.abs(error.mean(axis=0)).max() < 0.03  # measured .01
+    assert np.abs(error.mean(axis=0)).max() < 0.03  # measured 0.01
     assert np.abs(error).max() < 0.25
 
 
@@ -130,7 +130,7 @@ def test_light_falls_along_the_board_and_toward_the_corners():
     plain = {"clutter_dn": 0, "noise_dn": 0, "black_dn": 0, "white_dn": 100, "background_dn": 100}
     light = render_light(rig.left, T, CHESS, RenderOptions(**plain, shading=(0.4, 0)), np.random.default_rng(0))
     u, v = rig.left.project(T.apply(np.array([[0.01, -0.01, 0], [0.19, 0.13, 0]]))).round().astype(int).T
-    # both squares are white; they lie .18 m apart on a pattern of .24 m
+    # both squares are white; they lie 0.18 m apart on a pattern of 0.24 m
     assert light[v[1], u[1]] - light[v[0], u[0]] == pytest.approx(100 * 0.4 * 0.18 / 0.24, abs=0.2)
     vignetted = render_light(rig.left, T, CHESS, RenderOptions(**plain, vignetting=0.3), np.random.default_rng(0))
     assert vignetted[[0, -1, 0, -1], [0, 0, -1, -1]].mean() == pytest.approx(70, abs=0.5)

@@ -52,7 +52,7 @@ def test_tilts_and_their_directions_are_spread_and_the_image_is_covered():
     assert np.bincount(quadrant, minlength=4).min() >= 5
     for px in scene.project():
         cells = {(int(u // 160), int(v // 160)) for u, v in px.reshape(-1, 2)}
-        assert len(cells) / 48 > 0.8  # measured .92 / .92
+        assert len(cells) / 48 > 0.8  # measured 0.92 / 0.92
 
 
 def test_board_fills_the_share_asked_for():

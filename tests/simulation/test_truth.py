@@ -67,7 +67,7 @@ def _compare(rig, board, T, point, sigma_px, per_pixel, shading=(0.0, 0.0), exte
     return np.abs(difference).max(), np.abs(_shift_px(difference, reference)).max()
 
 
-# measured: grey .005 to .05 of 180 levels, shift 1e-5 to 1.5e-4 px; with twice the points per pixel the same
+# measured: grey 0.005 to 0.05 of 180 levels, shift 1e-5 to 1.5e-4 px; with twice the points per pixel the same
 @pytest.mark.parametrize("model", ["brown4", "brown5", "brown8", "fisheye4"])
 @pytest.mark.parametrize(("sigma_px", "per_pixel"), [(0.4, 32), (0.8, 20), (1.6, 12)])
 def test_grey_values_around_corners_are_those_of_brute_force(model, sigma_px, per_pixel):
@@ -87,7 +87,7 @@ def test_grey_values_around_a_disc_and_under_a_slope_of_light_are_those_of_brute
     disc = sample_scene(rig, CIRCLES, 1, rng, PoseOptions(margin_px=12)).T_left_board[0]
     rim = CIRCLES.object_points_m[13] + [0.5 * 0.5 * np.sqrt(2) * CIRCLES.pitch_m, 0, 0]
     grey, _ = _compare(rig, CIRCLES, disc, rim, 0.6, 32)
-    assert grey < 0.1  # measured .03; a single edge says nothing about a shift along it
+    assert grey < 0.1  # measured 0.03; a single edge says nothing about a shift along it
     chess = sample_scene(rig, CHESS, 1, rng, PoseOptions(margin_px=12)).T_left_board[0]
     grey, shift = _compare(
         rig, CHESS, chess, CHESS.object_points_m[20], 0.8, 24, shading=(0.6, -0.4), extent=(-1, -1, 9, 6)

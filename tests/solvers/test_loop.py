@@ -1,4 +1,4 @@
-"""One guarded iteration: what is kept, what each part of an action does, and that nothing leads astray."""
+"""One guarded iteration: what is kept, what each part of an action does, and what no controller can spoil."""
 
 from dataclasses import replace
 
@@ -146,14 +146,14 @@ class Lost:
 @pytest.mark.parametrize(
     ("damping", "reason"), [(np.nan, "not finite"), (np.inf, "not finite"), (1e9, "did not halve")]
 )
-def test_a_lost_controller_is_relieved_and_the_answer_stands(damping, reason):
+def test_a_useless_controller_gives_way_to_the_classical_one(damping, reason):
     problem, start = make_case(2, turn_deg=5.0)
     solve, classical = minimize_controlled(problem, start, Lost(damping)), minimize(problem, start)
     assert reason in solve.fallback_reason and len(solve.controlled) <= MAX_CONTROLLED_ITERATIONS
     assert angle_deg(solve.minimum.estimate, classical.estimate) < 1e-5
 
 
-def test_the_way_that_was_left_is_measured_in_sigmas():
+def test_the_remaining_distance_is_in_sigmas():
     problem, start = make_case(4, turn_deg=5.0)
     solve = minimize_controlled(problem, start, Marquardt(1e-4))
     assert 0 < solve.remaining_sigma < 1e4 and len(solve.controlled) >= 1
@@ -169,7 +169,7 @@ def test_the_way_that_was_left_is_measured_in_sigmas():
     assert minimize_controlled(problem, start, Lost(np.nan)).remaining_sigma == 0
 
 
-def test_a_batch_goes_the_way_of_its_single_rigs():
+def test_a_batch_takes_the_steps_of_its_single_rigs():
     singles = [make_case(seed) for seed in (5, 6)]
     stacked, both = (stack_rigs(parts) for parts in zip(*singles, strict=True))
     ones = np.ones(2)

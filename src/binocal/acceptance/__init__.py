@@ -1,12 +1,12 @@
 """Is a solved rig a result, or only a number? Every refusal and every warning of a solved rig, in one table.
 
-None of the checks changes the rig. :data:`RULES` is the table; :func:`judge` applies it.
+None of the checks changes the rig. :data:`RULES` is the table; :func:`apply_rules` applies it.
 """
 
 from __future__ import annotations
 
 from binocal.acceptance.proof import fits_evenly, is_beyond_doubt
-from binocal.acceptance.rules import OBSERVABILITY, OUTLIERS, RULES, Limit, Rule, findings_of_rules, judge
+from binocal.acceptance.rules import OBSERVABILITY, OUTLIERS, RULES, Limit, Rule, apply_rules, findings_of_rules
 from binocal.acceptance.views import contradicting_views, describe_views
 
 __all__ = [
@@ -20,5 +20,5 @@ __all__ = [
     "findings_of_rules",
     "fits_evenly",
     "is_beyond_doubt",
-    "judge",
+    "apply_rules",
 ]

@@ -220,7 +220,7 @@ def findings_of_rules(calibration: StereoCalibration, rules: tuple[Rule, ...]) -
     return tuple(found for rule in rules for found in rule.findings(calibration))
 
 
-def judge(calibration: StereoCalibration, *, is_converged: bool) -> StereoCalibration:
+def apply_rules(calibration: StereoCalibration, *, is_converged: bool) -> StereoCalibration:
     """The calibration with the findings of all rules, the gravest first, before those that it has.
 
     Raises:

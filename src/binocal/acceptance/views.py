@@ -22,7 +22,7 @@ def contradicting_views(
 ) -> dict[int, Finding]:
     """Views most of whose corners in a camera got no weight, by index, and why.
 
-    ``lengths2`` are squared residual lengths in pixels of the left and the right camera, ``used`` tells which corners carry weight.
+    ``lengths2`` are squared residual lengths in pixels of the left and the right camera, ``used`` says which corners carry weight.
     """
     contradicting: dict[int, Finding] = {}
     for camera, is_seen, px2, is_used in zip(

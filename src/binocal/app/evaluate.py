@@ -52,7 +52,6 @@ def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, see
     The bound is that of the views which the calibration used, for the corner noise that it measured. The criteria are measured on
     exact new views of the true rig, drawn from ``seed``.
     """
-
     rig, notes = calibration.rig, []
     sigma = calibration.covariance.sigma
     if not rig.is_metric:

@@ -106,7 +106,7 @@ def _compare_joint(outlier_share: float, seed: int) -> dict[str, Any]:
 def count_wrong_minima(n_rigs: int, seed: int, *, calibrator: str = "drl") -> dict[str, Any]:
     """Whole calibrations of stress rigs: how many are right, refused, wrong and flagged, wrong and not flagged.
 
-    Twelve views, noise .1 to .5 px, 10 to 30 % outlying corners, 20 % of the right views in reverse order; no start is given. Right:
+    Twelve views, noise 0.1 to 0.5 px, 10 to 30 % outlying corners, 20 % of the right views in reverse order; no start is given. Right:
     R and T within ``WRONG_SIGMA`` stated standard deviations of the truth (Mahalanobis, six degrees of freedom). Flagged: a
     warning, or a refusal.
     """

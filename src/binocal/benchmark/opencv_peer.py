@@ -52,8 +52,8 @@ def pair_corners(corners: Sequence[ndarray | None]) -> tuple[list[ndarray], list
 
 def _same_way(left: ndarray, right: ndarray) -> ndarray:
     """The right corners in the left ones' order, where the finder numbered the two images from opposite ends."""
-    way_left, way_right = left[-1, 0] - left[0, 0], right[-1, 0] - right[0, 0]
-    return right if float(way_left @ way_right) > 0 else right[::-1].copy()
+    row_left, row_right = left[-1, 0] - left[0, 0], right[-1, 0] - right[0, 0]
+    return right if float(row_left @ row_right) > 0 else right[::-1].copy()
 
 
 def calibrate_views(

@@ -40,7 +40,7 @@ def calibrate(
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
     ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the one with the least error on held-out
-    views (the simplest that is not clearly worse). Skew is 0 unless ``skew``. With ``max_views`` only the views that tell
+    views (the simplest that is not clearly worse). Skew is 0 unless ``skew``. With ``max_views`` only the views that determine
     most about depth are used, at most so many; ``provenance["view_choice"]`` says what that costs. ``options`` are the
     calibrator's own. ``progress(what, done, total)`` is called and ``should_stop()`` asked as the work goes on.
     ``prior`` is an earlier calibration of the rig: its covariance counts as information beside the corners. A
@@ -50,7 +50,7 @@ def calibrate(
     Raises:
         ValueError: An option is unknown, or the prior is about other cameras.
         DataError: The corners cannot be used.
-        CalibrationError: No trustworthy rig follows from them; the text names the culprit.
+        CalibrationError: No trustworthy rig follows from them; the text names the cause.
         CancelledError: ``should_stop`` returned True.
     """
     known = None

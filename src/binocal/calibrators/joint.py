@@ -99,7 +99,7 @@ def calibrate_jointly(
         n_iterations=n_iterations,
         misfit_px=misfit_px,
     )
-    return acceptance.judge(calibration, is_converged=bool(minimum.is_converged))
+    return acceptance.apply_rules(calibration, is_converged=bool(minimum.is_converged))
 
 
 def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
@@ -119,7 +119,7 @@ def _calibrate_clean(
 ) -> StereoCalibration | None:
     """The calibration of views in which nothing is wrong, or None where that is not proven (:mod:`binocal.acceptance.proof`).
 
-    With any doubt the views are diagnosed, which names the culprit.
+    With any doubt the views are diagnosed, which names the cause.
     """
     if detections.n_views < MIN_VIEWS:
         return None

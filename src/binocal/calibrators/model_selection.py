@@ -30,10 +30,7 @@ RESIDUAL_CAP_SIGMA = 5.0  # a wild corner must not choose the model
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelTrial:
-    """One model's fit: its calibration, or why there is none, and the held-out mean squared residual of each view (NaN.
-
-    Not tested).
-    """
+    """One model's fit: its calibration, or why there is none, and each view's held-out mean squared residual (NaN: not tested)."""
 
     model: str
     calibration: StereoCalibration | None

@@ -36,7 +36,7 @@ WEIGHTS_SUFFIX = ".safetensors"
 
 
 def load_calibrator(name: str) -> Calibrator:
-    """The calibrator of that name, or led by the agent in that file of weights.
+    """The calibrator of that name, or the one that the agent in that file of weights controls.
 
     Raises:
         ValueError: No such calibrator; the text names those that are known.

@@ -1,4 +1,4 @@
-"""The views of a long recording that tell most about depth, and what leaving out the others costs.
+"""The views of a long recording that determine depth best, and what leaving out the others costs.
 
 A rig is calibrated on a few views spread over the recording; with it each view's information on the shared parameters
 (its normal equations without its board pose) is known. Views are then taken one after the other, each time the one
@@ -36,7 +36,7 @@ PILOT_VIEWS = 40  # spread over the recording; enough for a rig whose error does
 CHUNK_VIEWS = 256  # views linearised at a time: bounds the memory
 SHORTLIST = 12  # views compared exactly in each round, the best by their gradient
 MISFIT_FACTOR = 4.0  # a view whose RMS is that many times the usual one is not worth its information
-FIELD = (0.15, 0.5, 0.85)  # where depth is judged: shares of the left image's width and height
+FIELD = (0.15, 0.5, 0.85)  # where depth is evaluated: shares of the left image's width and height
 DISTANCES = (0.6, 1.0, 2.0)  # at these multiples of the median distance of the boards
 
 
@@ -57,7 +57,7 @@ class ViewSelection:
     def sentence(self) -> str:
         """What was chosen and what it costs."""
         text = (
-            f"{len(self.views)} of {self.n_views} views were chosen by what they tell about depth: the calibration's share "
+            f"{len(self.views)} of {self.n_views} views were chosen by how well they determine depth: the calibration's share "
             f"of the depth error is then {100 * self.depth_sigma:.3g} % of the depth, with all views it would be "
             f"{100 * self.all_depth_sigma:.3g} % ({self.depth_sigma / self.all_depth_sigma:.2f} times)"
         )

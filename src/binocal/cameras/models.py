@@ -17,7 +17,7 @@ LINEAR_NAMES = ("fx", "fy", "cx", "cy", "skew")
 class CameraModel:
     """One camera model: names of its distortion coefficients, and its functions on component-first arrays.
 
-    ``sees_behind`` tells that points with Z <= 0 can be seen (fisheye). ``prior_sigma`` is the standard deviation of a
+    ``sees_behind`` says that points with Z <= 0 can be seen (fisheye). ``prior_sigma`` is the standard deviation of a
     weak prior that holds each radial coefficient near 0 where the corners say nothing about it; infinite: no prior.
     """
 

@@ -33,6 +33,11 @@ class StereoRig:
         return so3.to_paper_angles(self.T_right_left.R)
 
     @property
+    def printed_unit(self) -> tuple[str, float]:
+        """The unit to print lengths in, and the factor to it: millimetres, or board squares where the scale is unknown."""
+        return ("mm", 1e3) if self.is_metric else ("squares", 1.0)
+
+    @property
     def is_swapped(self) -> bool:
         """True when the camera called right stands to the left of the other; a vertical rig has no such order."""
         t = self.T_right_left.t

@@ -34,14 +34,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
             return INTERRUPTED
         return FAILED if isinstance(error, NotConvergedError | MissingExtraError | PluginError) else UNUSABLE_INPUT
     except KeyboardInterrupt:
-        _report("interrupted", "interrupted; nothing was written by halves.", wants_json)
+        _report("interrupted", "interrupted; no file was left half written.", wants_json)
         return INTERRUPTED
     except BrokenPipeError:
-        sys.stderr.close()  # the reader left; there is nobody to tell
+        sys.stderr.close()  # the reader left; nobody reads a message
         return FAILED
     except Exception as error:
         if type(error).__name__ == "Abort":  # how click, in older versions of typer, passes on an interrupt
-            _report("interrupted", "interrupted; nothing was written by halves.", wants_json)
+            _report("interrupted", "interrupted; no file was left half written.", wants_json)
             return INTERRUPTED
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # typer's usage errors, of whichever click
             return _report_usage(error, wants_json)

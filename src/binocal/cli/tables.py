@@ -11,11 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from binocal.app import CalibrationRun, DemoCase, ImageEvaluation, TrainedAgent, TruthEvaluation
-from binocal.cameras import StereoRig, camera_model
+from binocal.cameras import camera_model
 from binocal.cli.exits import one_line
 from binocal.metrics.pose import ParameterError
 from binocal.result import RejectedView, StereoCalibration
+from binocal.values import with_sigma
 
+CONVENTION = (
+    "x_right = R x_left + t. R is the right camera turned from the left one's pose by pitch about its own x (right),\n"
+    "then yaw about y (down), then roll about z (forward)."
+)
 MAX_NAMES = 8  # names of dropped views in one line of the summary; stderr has all of them
 
 
@@ -176,16 +181,6 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def with_sigma(value: float, sigma: float) -> str:
-    """``1600.123 ± 0.045``: the value to the digits that its standard deviation leaves meaningful."""
-    if not math.isfinite(value):
-        return "unknown"
-    if not (math.isfinite(sigma) and sigma > 0):
-        return f"{value:.6g}"
-    digits = min(12, max(0, 1 - math.floor(math.log10(sigma))))
-    return f"{value:.{digits}f} ± {sigma:.{digits}f}"
-
-
 def _cameras_table(calibration: StereoCalibration) -> str:
     rig, sigma = calibration.rig, calibration.covariance.sigma
     names = list(camera_model(rig.left.model).parameter_names)
@@ -208,22 +203,15 @@ def _pair_table(calibration: StereoCalibration) -> str:
     angles_deg, angle_sigmas_deg = np.degrees(rig.euler_rad), np.degrees(calibration.euler_sigma_rad)
     rows = [
         (name, "deg", with_sigma(value, s))
-        for name, value, s in zip(
-            ("gamma", "lambda", "mu"), angles_deg.tolist(), angle_sigmas_deg.tolist(), strict=True
-        )
+        for name, value, s in zip(("pitch", "yaw", "roll"), angles_deg.tolist(), angle_sigmas_deg.tolist(), strict=True)
     ]
-    unit, factor = length_unit(rig)
+    unit, factor = rig.printed_unit
     for axis, value in zip("xyz", rig.T_right_left.t.tolist(), strict=True):
         rows.append(
             (f"t.{axis}", unit, with_sigma(factor * value, factor * sigma.get(f"translation.{axis}", math.nan)))
         )
     rows.append(("baseline", unit, with_sigma(factor * rig.baseline_m, factor * calibration.baseline_sigma_m)))
-    return format_table(("left to right", "", ""), rows, align="llr")
-
-
-def length_unit(rig: StereoRig) -> tuple[str, float]:
-    """The unit to print lengths in, and the factor to it: millimetres, or squares where the scale is unknown."""
-    return ("mm", 1e3) if rig.is_metric else ("squares", 1.0)
+    return format_table(("right camera", "", ""), rows, align="llr") + "\n" + CONVENTION
 
 
 def _outlier_words(calibration: StereoCalibration) -> str:

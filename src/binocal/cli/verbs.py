@@ -144,7 +144,7 @@ def calibrate(
         int | None,
         typer.Option(
             "--max-views",
-            help="Use at most N views, those that tell most about depth, and say what that costs.",
+            help="Use at most N views, those that determine depth best, and say what that costs.",
             metavar="N",
             min=3,
         ),
@@ -248,7 +248,7 @@ def simulate(
 def evaluate(
     rig: Annotated[
         Path,
-        typer.Argument(help="The calibration to judge: rig.json, or OpenCV's file with --left.", metavar="RIG.JSON"),
+        typer.Argument(help="The calibration to evaluate: rig.json, or OpenCV's file with --left.", metavar="RIG.JSON"),
     ],
     truth: Annotated[
         Path | None, typer.Option("--truth", help="truth.json of the simulation.", metavar="TRUTH.JSON")
@@ -259,7 +259,7 @@ def evaluate(
     threads: Threads = None,
     json: Json = False,
 ) -> int:
-    """Judge a rig by the paper's criteria, against the truth or on images that it has not seen."""
+    """Evaluate a rig by the paper's criteria, against the truth or on images that it has not seen."""
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal

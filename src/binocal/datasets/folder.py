@@ -41,8 +41,8 @@ def list_pairs(
 ) -> Pairing:
     """Pairs of left and right images, each side given as a glob, a folder, a file or a sequence of files.
 
-    Images are paired by what their names share once the part that tells the sides apart is taken away (left01 and
-    right01, imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they tell images
+    Images are paired by what their names share once the part that distinguishes the sides is taken away (left01 and
+    right01, imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they distinguish images
     apart. Nothing is paired by position: orphans, copies ("left03 (1).jpg") and double numbers are listed in
     ``ignored``. Two single files are a pair whatever they are called.
 
@@ -162,8 +162,8 @@ def _match(naming: Naming, lefts: list[Path], rights: list[Path], ignored: dict[
             same = [] if key is None else by_key[side][key]
             partners = [] if key is None else by_key[other].get(key, [])
             if len(same) > 1:
-                twin = next(candidate for candidate in same if candidate != path)
-                ignored[path] = f"{side} has another image of the same name or number, {twin.name}"
+                duplicate = next(candidate for candidate in same if candidate != path)
+                ignored[path] = f"{side} has another image of the same name or number, {duplicate.name}"
             elif partners:
                 ignored[path] = f"{other} has {len(partners)} images for it: {', '.join(p.name for p in partners)}"
             else:

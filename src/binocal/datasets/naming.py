@@ -1,4 +1,4 @@
-"""What tells the left images' names from the right ones', and what is left to pair them by."""
+"""What distinguishes the left images' names from the right ones', and what is left to pair them by."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """AprilGrids: grids of 36h11 tags whose corners touch small black squares, as Kalibr prints them, or touch nothing.
 
-Prints differ in three ways that the images tell: the tag's black border is one or two bits wide (Kalibr: two), ids
+Prints differ in three ways that the images show: the tag's black border is one or two bits wide (Kalibr: two), ids
 count from the top-left or from the bottom-left tag (Kalibr), and a tag's own up may be turned against the board's.
 """
 
@@ -21,9 +21,9 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import corner_covariance, measure_corners, refine_corners
 from binocal.shapes import Float, Float32, Int
 
-MIN_TAGS = 2  # one tag does not tell how the ids run
+MIN_TAGS = 2  # one tag does not show how the ids run
 L_CORNER_BIAS_PX = (
-    0.1  # cornerSubPix on tag corners that touch nothing; measured .08 to .10 on rendered grids, blur 0.8 px
+    0.1  # cornerSubPix on tag corners that touch nothing; measured 0.08 to 0.10 on rendered grids, blur 0.8 px
 )
 MAX_MISFIT = 0.2  # median distance from a smooth plane, tag sides: a wrong hypothesis is off by a whole tag
 
@@ -72,7 +72,7 @@ def detect_aprilgrid(
         ), proved
     found = _measure(grey, stretched, board, tags, quads, chosen, border_bits)
     if found.is_found and layout is None and proved is None:
-        found = replace(found, note="which way the ids run cannot be told from this image; from the bottom taken")
+        found = replace(found, note="which way the ids run cannot be seen in this image; from the bottom taken")
     return found, proved
 
 

@@ -68,7 +68,7 @@ def detect_charuco(
     found = _measure(grey, stretched, board, quads[known], reading)
     if found.is_found and not layout and not proved and board.rows % 2 == 0:
         found = replace(
-            found, note="the board's layout (current or legacy) cannot be told from this image; current taken"
+            found, note="the board's layout (current or legacy) cannot be seen in this image; current taken"
         )
     return found, proved
 

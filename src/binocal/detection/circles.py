@@ -38,7 +38,7 @@ class _Match:
     way: float
     """How far the rows run to the lower right, -1.4 to 1.4.
 
-    Decides between orientations that nothing else tells apart.
+    Decides between orientations that nothing else distinguishes.
     """
 
 

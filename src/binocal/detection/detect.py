@@ -70,7 +70,7 @@ def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:
 
 
 def stretch_8_bit(grey: ndarray) -> tuple[UInt8[ndarray, "h w"], str]:
-    """As :func:`stretch`, in uint8 and with room beyond the percentiles: a small board may be brighter than all else.
+    """As :func:`stretch`, in uint8 and with a margin beyond the percentiles: a small board may be brighter than all else.
 
     An image that needs no stretching is returned as it is.
     """

@@ -14,13 +14,13 @@ from binocal.shapes import Bool, Float, Int
 from binocal.values import ArrayValue, frozen_array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Detections(ArrayValue):
     """Corners of ``n_views`` views of one board of n points in two cameras.
 
-    NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` tells that object points
+    NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` says that object points
     are metres. Covariances say how well each corner was measured, NaN (or None for all of a camera's) where that is not
-    known; the solver trusts corners accordingly. ``board_spec`` is the board's SPEC text, where somebody said it.
+    known; the solver weighs corners accordingly. ``board_spec`` is the board's SPEC text, where somebody said it.
     """
 
     object_points_m: Float[ndarray, "n 3"]
@@ -129,6 +129,15 @@ class Detections(ArrayValue):
             right_covariance_px2,
             board_spec,
         )
+
+    def __repr__(self) -> str:
+        sides = []
+        for side in ("left", "right"):
+            (width, height), is_seen = getattr(self, f"{side}_size_wh"), getattr(self, f"{side}_is_seen")
+            sides.append(f"{side} {width}x{height}: {is_seen.sum()} corners in {is_seen.any(axis=1).sum()} views")
+        board = self.board_spec or f"{len(self.object_points_m)} points"
+        covariances = ", with covariances" if self.has_covariances else ""
+        return f"<Detections: {self.n_views} views of {board}; {'; '.join(sides)}{covariances}>"
 
     @property
     def n_views(self) -> int:

@@ -28,7 +28,7 @@ class RigWriter(Protocol):
 class Format:
     """One format: how its files are recognised, read and written, and what they cannot hold.
 
-    ``suffixes`` are what its files are called, the first of a new one. ``probe`` tells from a file's content, whatever its
+    ``suffixes`` are what its files are called, the first of a new one. ``probe`` decides from a file's content, whatever its
     name, whether it is of this format; it raises nothing. ``read`` raises :class:`binocal.errors.FormatError`, whose text
     says what is wrong where. ``write`` is None where files are only read. ``losses`` names what of a rig a file cannot
     hold; what it does not name comes back as it was. Frames, pixel origins and units are binocal's on this side of it

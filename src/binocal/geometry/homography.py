@@ -184,7 +184,7 @@ class HomographyFit:
     """Robust homographies of many views.
 
     ``H`` takes board coordinates (x, y, 1) to pixels, NaN where ``status`` is not GOOD (0); TOO_FEW, COINCIDENT,
-    COLLINEAR and UNFIT tell why. ``residuals_px`` are distances (NaN = not seen), ``weights`` in [0, 1] what the
+    COLLINEAR and UNFIT say why. ``residuals_px`` are distances (NaN = not seen), ``weights`` in [0, 1] what the
     robust fit gave each corner (0 = not seen), ``sigma_px`` the robust standard deviation of one coordinate; lens
     distortion counts as noise here. ``px_per_unit``: RMS radius of the seen corners in the image over that on the
     board.

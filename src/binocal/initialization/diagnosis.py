@@ -53,7 +53,7 @@ class Diagnosis:
     views to calibrate from, ``rejected`` says why for the others, ``notes`` has a sentence for each repaired view (""
     for the rest) and ``findings`` those for the user. ``left`` and ``right`` are the initial cameras; their poses and
     weights belong to the corners as they were given, ``R_left_board`` and ``t_left_board`` (NaN where unused) to the
-    repaired ones. ``left_weights`` and ``right_weights`` in [0, 1] tell how far the start trusts each repaired
+    repaired ones. ``left_weights`` and ``right_weights`` in [0, 1] say how far the start trusts each repaired
     corner.
     """
 
@@ -124,7 +124,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
             reasons[int(view)] = _explain(int(view), consensus, cameras, points)
         elif consensus.symmetry[view] > 0:
             k = int(consensus.symmetry[view])
-            side = _culprit(int(view), k, consensus, cameras)
+            side = _side_to_reorder(int(view), k, consensus, cameras)
             applied = k if side == 1 else symmetries.inverse_of(k)
             orders[side][int(view)] = symmetries.order[applied]
             weights[side][view] = weights[side][view][symmetries.order[applied]]
@@ -476,7 +476,7 @@ def _explain(view: int, consensus: Consensus, cameras: list[InitialCamera], poin
     return finding("view-mismatched", miss_px=miss, typical_px=typical_px)
 
 
-def _culprit(view: int, symmetry: int, consensus: Consensus, cameras: list[InitialCamera]) -> int:
+def _side_to_reorder(view: int, symmetry: int, consensus: Consensus, cameras: list[InitialCamera]) -> int:
     """0 or 1: the camera whose board stands otherwise than in its other views; if most do, the inverted one."""
     agreeing = consensus.agrees & (consensus.symmetry >= 0)
     mostly = np.mean(consensus.symmetry[agreeing] == symmetry) > 0.5

@@ -132,7 +132,7 @@ def _fit_rays(
     """Fit on lifted rays: the fit, residuals in its plane, each view's turn, plane-to-image scale, and the weights.
 
     Where rays come near the lifted plane's horizon, each view is first turned (a 3x3 matrix M per view, after scaling
-    g to metric rays by the equidistant guess of the focal length) so that its mean ray is the axis: the homography
+    g to metric rays by the equidistant estimate of the focal length) so that its mean ray is the axis: the homography
     found is then M H.
     """
     if np.all((g > _MIN_G) | (w == 0)):

@@ -1,7 +1,7 @@
 """``T_right_left`` by consensus over views, board symmetries included; never the plain mean.
 
 Each view's pair of board poses proposes a transform. A proposal predicts every other view's right image from its
-left pose, and the quadratic forms of :class:`BoardPoses` tell by how many pixels it misses, without touching corners.
+left pose, and the quadratic forms of :class:`BoardPoses` say by how many pixels it misses, without touching corners.
 The proposal with the most votes is then refined jointly with one board pose per view (Gauss-Newton on both cameras'
 quadratic forms, views eliminated).
 """

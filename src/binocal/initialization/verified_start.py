@@ -1,9 +1,9 @@
 """A start for sets of views in which nothing is wrong, at a tenth of the cost of finding out what is.
 
 Plain homographies of all images at once, a focal length for each camera with the principal point held in the middle,
-poses, and the mean of the views' relative poses: rough, and not robust against anything. Whoever uses it must let the
-joint solver prove it (:mod:`binocal.calibrators.lm` does) and go the long way of
-:mod:`binocal.initialization.diagnosis` otherwise.
+poses, and the mean of the views' relative poses: rough, and not robust against anything. Whoever uses it must verify the
+joint solve from it (:mod:`binocal.calibrators.joint` does, by :mod:`binocal.acceptance.proof`), and diagnose the views
+(:mod:`binocal.initialization.diagnosis`) where that fails.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from binocal.shapes import Float
 MIN_CORNERS = 12  # of every image; fewer leave a homography too free to prove anything
 _OUTSIDE_PX = 2.0
 _FOCAL_RANGE = (0.3, 20.0)  # half diagonals: 150 deg to 6 deg of view
-_MAX_LENS_RESIDUAL = 0.01  # of a half diagonal; a lens that bends straight lines by more needs the long way's profile
+_MAX_LENS_RESIDUAL = (
+    0.01  # of a half diagonal; a lens that bends straight lines by more needs the profile that the diagnosis fits
+)
 _MAX_TURN = (
     0.7  # of a view's rotation between the cameras from the mean's: rough poses stay below, reversed corners reach 2
 )

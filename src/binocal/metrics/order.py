@@ -1,7 +1,7 @@
 """Board poses of held-out views, with the two cameras' corner orders brought into agreement.
 
 A symmetric board looks the same from its other end, and a finder may number its corners from either: then left and
-right corners of one view do not match although every corner is right. The rig, which is known here, tells.
+right corners of one view do not match although every corner is right. The rig, which is known here, decides.
 """
 
 from __future__ import annotations

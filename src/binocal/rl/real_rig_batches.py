@@ -45,14 +45,14 @@ def rigs_from_calibration(calibration: StereoCalibration, n_rigs: int, rng: np.r
 
 
 def tolerance_sigma(n_views: int) -> float:
-    """What counts as arrived: .1 for six unknowns; the cost tells of all of them, the board poses too."""
+    """What counts as arrived: 0.1 for six unknowns; the cost is that of all of them, the board poses too."""
     return 0.1 * float(np.sqrt(1 + n_views))
 
 
 def network_widths(n_views: int) -> tuple[int, ...]:
     """Layers and nodes by the amount of training data (the paper's second step).
 
-    A layer of 16 nodes up to 12 views, two of 32 up to 48, two of 64 beyond: a few hundred views tell more solves apart than
+    A layer of 16 nodes up to 12 views, two of 32 up to 48, two of 64 beyond: a few hundred views distinguish more solves than
     a dozen. The rule is ours; the paper states none.
     """
     if n_views <= 12:

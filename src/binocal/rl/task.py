@@ -48,7 +48,7 @@ MAX_DISTANCE_DECADES = 8.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskState:
-    """A batch of episodes. ``last_action`` is what led here; ``n_steps`` counts candidates."""
+    """A batch of episodes. ``last_action`` is the one before this state; ``n_steps`` counts candidates."""
 
     loop: BundleState
     last_action: Float[ndarray, "*batch a"]

@@ -50,9 +50,9 @@ LONGEST_TURN_RAD = 1.5  # a linear step that turns a camera further has lost all
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraObservations:
-    """One camera's corners, component-first, finite everywhere.
+    """One camera's corners and which of its parameters are free.
 
-    0 where not seen, and which of its parameters are free. ``whitening`` is that of
+    Pixels are component-first and finite everywhere: 0 where a corner was not seen. ``whitening`` is that of
     :class:`binocal.solvers.whitening.CornerWeights`, None where all corners are alike.
     """
 

@@ -25,7 +25,7 @@ class CornerWeights:
     """What the residuals of each camera are multiplied by, None where all corners are alike.
 
     A residual (u, v) becomes (a u, b u + c v). Whitened residuals are pixels of a corner with the noise ``unit_px``: as
-    many corners of that noise would tell as much as these do.
+    many corners of that noise would carry as much information as these do.
     """
 
     left: Float[ndarray, "views 3 n"] | None = None

@@ -75,7 +75,7 @@ def test_saddles_are_localised_from_two_pixels_away(shoot):
     rough[7] = np.nan
     found = localize_saddles(shot.image, rough, spacing)
     error = np.linalg.norm(found - shot.corners_px, axis=1)
-    assert np.isnan(error[7]) and np.nanmax(error) < 0.3  # measured .15
+    assert np.isnan(error[7]) and np.nanmax(error) < 0.3  # measured 0.15
     flat = localize_saddles(np.full((60, 60), 90, np.uint8), np.array([[30.2, 30.4]]), np.array([12.0]))
     assert np.allclose(flat, [[30.2, 30.4]])
 

@@ -238,7 +238,7 @@ def test_updates_equal_those_of_stable_baselines3(torch, source):
 # --- a toy: drive a point in the plane to the origin ---
 
 TOY_STEPS = 10
-IDLE_RETURN, BEST_RETURN = -6.67, -0.083  # doing nothing: -10 E|q|²; going straight home: -2 E[max(|q| - 0.5, 0)²]
+IDLE_RETURN, BEST_RETURN = -6.67, -0.083  # doing nothing: -10 E|q|²; going straight to it: -2 E[max(|q| - 0.5, 0)²]
 
 
 class Toy:

@@ -23,7 +23,7 @@ from binocal.shapes import UInt8
 def detect_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
     """The inner corners of a chessboard; ``image`` is ``grey`` stretched to 8 bits.
 
-    Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares tell the board's
+    Orientation: rows and columns turn as in the board's frame. Where the colours of the outer squares show the board's
     two (or four) orientations apart, the square outside corner (0, 0) is dark; where not, the row that runs most to the
     lower right of the image is chosen, which is the same in both cameras of a rig unless the board is turned by 135
     degrees.
