@@ -15,10 +15,10 @@ __all__ = [
     "RULES",
     "Limit",
     "Rule",
+    "apply_rules",
     "contradicting_views",
     "describe_views",
     "findings_of_rules",
     "fits_evenly",
     "is_beyond_doubt",
-    "apply_rules",
 ]
