@@ -34,7 +34,7 @@ def check_output(path: str | Path, *, force: bool = False) -> Path:
     return path
 
 
-def write_aside(path: str | Path, content: str | bytes, *, force: bool = False) -> None:
+def write_aside(path: str | Path, content: str | bytes | memoryview, *, force: bool = False) -> None:
     """Write text (UTF-8) or bytes to a temporary file beside ``path``, then rename it to ``path``.
 
     Raises:

@@ -32,7 +32,7 @@ def read_grey(path: Path) -> ndarray:
     return grey
 
 
-def find_corners(grey: ndarray, board: Board) -> Float[ndarray, "n 1 2"] | None:
+def find_corners_with_opencv(grey: ndarray, board: Board) -> Float[ndarray, "n 1 2"] | None:
     """The board's corners, or None where it is not found."""
     import cv2
 

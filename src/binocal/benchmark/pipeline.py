@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_corners, read_grey
-from binocal.benchmark.scenes import render_pairs
+from binocal.benchmark.opencv_peer import calibrate_views, find_corners_with_opencv, pair_corners, read_grey
+from binocal.benchmark.scenes import render_scene_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import StereoRig
@@ -44,7 +44,7 @@ def run_pipeline_benchmark(*, pairs: int = 100, rounds: int = 3, seed: int = 0) 
 
     own_threads = cv2.getNumThreads()
     with tempfile.TemporaryDirectory(prefix="binocal-bench-") as folder:
-        rig, listed = render_pairs(Path(folder), pairs, BOARD, SIZE_WH, seed)
+        rig, listed = render_scene_pairs(Path(folder), pairs, BOARD, SIZE_WH, seed)
         ways: dict[str, Callable[[], StereoRigLike]] = {
             "decode": lambda: _decode(listed),
             "binocal": lambda: _run_binocal(listed),
@@ -131,7 +131,7 @@ def _run_opencv(listed: Sequence[ImagePair]) -> StereoRigLike:
     board = parse_board(BOARD)
     paths = [path for pair in listed for path in (pair.left_path, pair.right_path)]
     with ThreadPoolExecutor(N_THREADS) as pool:
-        found = pool.map(lambda path: find_corners(read_grey(path), board), paths)
+        found = pool.map(lambda path: find_corners_with_opencv(read_grey(path), board), paths)
         left, right = pair_corners(list(found))
     if len(left) < 3:
         return None

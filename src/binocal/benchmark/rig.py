@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from binocal.benchmark.opencv_peer import calibrate_views, find_corners, pair_corners, read_grey
-from binocal.benchmark.scenes import render_pairs
+from binocal.benchmark.opencv_peer import calibrate_views, find_corners_with_opencv, pair_corners, read_grey
+from binocal.benchmark.scenes import render_scene_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.datasets.folder import ImagePair
@@ -37,7 +37,7 @@ def run_rig_benchmark(*, pairs: int = 20, sets: int = 24, seed: int = 0) -> dict
     errors: dict[str, list[tuple[float, float]]] = {}
     for index in range(sets):
         with tempfile.TemporaryDirectory(prefix="binocal-bench-") as folder:
-            _, listed = render_pairs(Path(folder), pairs, BOARD, size_wh, seed + index, rig=rig)
+            _, listed = render_scene_pairs(Path(folder), pairs, BOARD, size_wh, seed + index, rig=rig)
             for name, (R, t) in _estimates(listed, size_wh).items():
                 rotation_deg = float(np.degrees(so3.angle_rad(R @ truth.R.T)))
                 errors.setdefault(name, []).append((rotation_deg, 1e3 * float(np.linalg.norm(t - truth.t))))
@@ -60,7 +60,7 @@ def _estimates(listed: list[ImagePair], size_wh: tuple[int, int]) -> dict[str, P
     """R and t of each method."""
     board = parse_board(BOARD)
     paths = [path for pair in listed for path in (pair.left_path, pair.right_path)]
-    corners = [find_corners(read_grey(path), board) for path in paths]
+    corners = [find_corners_with_opencv(read_grey(path), board) for path in paths]
     left, right = pair_corners(corners)
     detections = detect_pairs(listed, board).detections
     ways: dict[str, Callable[[], Pose]] = {

@@ -17,7 +17,7 @@ import numpy as np
 
 from binocal.benchmark.memory import run_alone
 from binocal.benchmark.opencv_peer import run_opencv
-from binocal.benchmark.scenes import render_pairs
+from binocal.benchmark.scenes import render_scene_pairs
 from binocal.benchmark.solver import scene
 from binocal.boards import parse_board
 from binocal.calibrators import CalibrationRequest, calibrate
@@ -43,7 +43,7 @@ def run_scale_benchmark(
     """One row per number of pairs: seconds, megabytes at the peak, and errors against the truth where there is one."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="binocal-bench-") as folder:
-        _, pairs = render_pairs(Path(folder), RENDERED_PAIRS, BOARD, SIZE_WH, seed)
+        _, pairs = render_scene_pairs(Path(folder), RENDERED_PAIRS, BOARD, SIZE_WH, seed)
         for n in image_pairs:
             repeated = [
                 ImagePair(f"{i:05d}", pairs[i % len(pairs)].left_path, pairs[i % len(pairs)].right_path)

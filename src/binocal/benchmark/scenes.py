@@ -15,7 +15,7 @@ from binocal.images.png import encode_png
 from binocal.simulation import RenderOptions, random_rig, render_image, sample_board_poses
 
 
-def render_pairs(
+def render_scene_pairs(
     folder: Path, n_pairs: int, board_spec: str, size_wh: tuple[int, int], seed: int, *, rig: StereoRig | None = None
 ) -> tuple[StereoRig, list[ImagePair]]:
     """``n_pairs`` pairs as left_000.png and right_000.png in a folder, and the rig that took them.

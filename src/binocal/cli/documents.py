@@ -24,7 +24,7 @@ def calibration_run_document(run: CalibrationRun, output: Path, max_rms_px: floa
     }
 
 
-def truth_document(evaluation: TruthEvaluation) -> dict[str, Any]:
+def truth_evaluation_document(evaluation: TruthEvaluation) -> dict[str, Any]:
     """Errors against the truth."""
     c = evaluation.comparison
     return {
@@ -96,7 +96,7 @@ def demo_document(cases: Sequence[DemoCase]) -> dict[str, Any]:
                 "elapsed_s": dict(case.run.elapsed_s),
                 "rejected": [{"name": v.name, "reason": v.reason} for v in case.run.calibration.rejected],
             }
-            | truth_document(case.evaluation)
+            | truth_evaluation_document(case.evaluation)
             for case in cases
         ]
     }

@@ -271,7 +271,7 @@ def evaluate(
         raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
     if truth is not None:
         against_truth = verbs.evaluate_truth(rig_json.read_calibration(rig), rig_json.read_truth(truth))
-        _present(documents.truth_document(against_truth), tables.truth_text(against_truth), json)
+        _present(documents.truth_evaluation_document(against_truth), tables.truth_text(against_truth), json)
         return FINE
     read = load_rig(rig)
     with progress_on_terminal() as progress:

@@ -16,7 +16,7 @@ from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.initialization.symmetries import board_symmetries
 from binocal.shapes import Float
-from binocal.solvers.poses import BoardPoses, estimate_board_poses
+from binocal.solvers.poses import PosedViews, estimate_board_poses
 
 SUSPECT_PX = 1.0  # no sane rig misses its corners by that much; looking costs time only
 CLEAR_FACTOR = 5.0  # another order is believed if it fits that many times better; a wrong one is worse by 100 and more
@@ -71,7 +71,7 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     return OrderedViews(ordered, SE3(R, t), tuple(notes[view] for view in sorted(notes)))
 
 
-def _typical_px(poses: BoardPoses) -> Float[ndarray, "views"]:
+def _typical_px(poses: PosedViews) -> Float[ndarray, "views"]:
     """Median residual length of each view, both cameras; NaN where nothing was seen."""
     r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
     typical = np.full(len(r2), np.nan)

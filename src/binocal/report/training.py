@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +11,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.errors import MissingExtraError
+from binocal.output import write_aside
 from binocal.rl.history import TrainingHistory, smoothed
 from binocal.shapes import Float, Int
 
@@ -51,11 +52,11 @@ def draw_training(histories: Sequence[TrainingHistory], path: Path) -> None:
     _draw_values(value, runs)
     _draw_lag(lag, runs)
     _draw_held_out(held_out, runs)
-    aside = path.with_name(path.name + ".part")
+    content = io.BytesIO()
     # text stays text, and the same runs give the same bytes
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "binocal"}):
-        figure.savefig(aside, format="svg", metadata={"Date": None, "Title": "Training of the calibration agent"})
-    os.replace(aside, path)
+        figure.savefig(content, format="svg", metadata={"Date": None, "Title": "Training of the calibration agent"})
+    write_aside(path, content.getvalue(), force=True)
 
 
 Runs = dict[str, list[TrainingHistory]]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
 from dataclasses import dataclass, fields
 from pathlib import Path
 from zipfile import BadZipFile
@@ -12,6 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.errors import FormatError
+from binocal.output import write_aside
 from binocal.shapes import Float, Int
 
 SCHEMA = "binocal-training/1"
@@ -89,12 +90,11 @@ def smoothed(loss: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
 
 
 def write_history(history: TrainingHistory, path: Path) -> None:
-    """Writes ``.npz``, aside and then renamed."""
-    aside = path.with_name(path.name + ".part")
+    """Writes ``.npz``, whole or not at all."""
     label = json.dumps({"schema": SCHEMA, "targets": history.targets, "seed": history.seed})
-    with aside.open("wb") as file:
-        np.savez_compressed(file, label=np.array(label), **{name: getattr(history, name) for name in _ARRAYS})
-    os.replace(aside, path)
+    content = io.BytesIO()
+    np.savez_compressed(content, label=np.array(label), **{name: getattr(history, name) for name in _ARRAYS})
+    write_aside(path, content.getvalue(), force=True)
 
 
 def load_history(path: Path) -> TrainingHistory:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.errors import FormatError
+from binocal.output import write_aside
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.task import (
     TaskState,
@@ -134,13 +135,14 @@ def load_policy(path: str | Path) -> Policy:
 
 def save_policy(policy: Policy, path: str | Path) -> None:
     """Writes the weights in single precision, with their card as metadata."""
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     arrays = {"mean": policy.mean, "spread": policy.spread}
     for i, (weight, bias) in enumerate(policy.layers):
         arrays |= {f"weight{i}": weight, f"bias{i}": bias}
     single = {name: np.ascontiguousarray(a, dtype=np.float32) for name, a in arrays.items()}
-    save_file(single, str(path), metadata={"kind": str(policy.kind), "card": json.dumps(policy.card, sort_keys=True)})
+    metadata = {"kind": str(policy.kind), "card": json.dumps(policy.card, sort_keys=True)}
+    write_aside(path, save(single, metadata=metadata), force=True)
 
 
 @cache

@@ -17,7 +17,7 @@ from binocal.shapes import Bool, Float, Int
 from binocal.solvers.board_views import BundleEstimate, BundleProblem, BundleState
 from binocal.solvers.loop import advance, begin
 from binocal.solvers.loop_state import Action
-from binocal.solvers.observation import OBSERVED, observe
+from binocal.solvers.observation import OBSERVED, observe_state
 
 KERNEL = "hampel"
 
@@ -76,7 +76,7 @@ def initial(problem: BundleProblem, start: BundleEstimate, kind: AgentKind) -> T
 
 def observation(problem: BundleProblem, state: TaskState, kind: AgentKind) -> Float[ndarray, "*batch o"]:
     """What the agent sees."""
-    parts = [observe(problem, state.loop), state.n_steps[..., None] / 10, state.last_action]
+    parts = [observe_state(problem, state.loop), state.n_steps[..., None] / 10, state.last_action]
     if kind == AgentKind.DRL_INCREMENTS:
         _, whitened = _whitened_step(problem, state.loop)
         parts.append(whitened / np.maximum(np.linalg.norm(whitened, axis=-1, keepdims=True), 1e-300))

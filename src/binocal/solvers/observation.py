@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from numpy import ndarray
 
-from binocal.kernels import LastIteration
-from binocal.kernels import observe as _observe
+from binocal.kernels import LastIteration, observe
 from binocal.shapes import Float
 from binocal.solvers.board_views import BundleProblem, BundleState
 
@@ -35,14 +34,14 @@ OBSERVED = (
     "last candidate kept",
     "cosine of this and the last rig step",
 )
-"""What :func:`observe` returns, in order."""
+"""What :func:`observe_state` returns, in order."""
 
 
-def observe(problem: BundleProblem, state: BundleState) -> Float[ndarray, "*batch f"]:
+def observe_state(problem: BundleProblem, state: BundleState) -> Float[ndarray, "*batch f"]:
     """Scale-free numbers of the state, all of them at hand: residuals, the solver's own equations, the last iteration."""
     seen = state.seen
     last = LastIteration(state.scale_px, seen.gain, state.is_kept, seen.previous_mad_px, seen.previous_newton)
-    return _observe(
+    return observe(
         tuple(e.r2_px2 for e in state.equations.cameras),
         tuple(camera.is_seen for camera in problem.cameras),
         state.mad_px,

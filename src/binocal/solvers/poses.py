@@ -27,7 +27,7 @@ MIN_CORNERS = 4  # a planar pose has six unknowns; three corners leave several s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardPoses:
+class PosedViews:
     """One pose per view. Where ``is_found`` is False (too few corners) the pose is the identity and means nothing.
 
     ``left_r2_px2`` and ``right_r2_px2`` are squared residual lengths, whitened where the corners have weights, NaN where
@@ -42,7 +42,7 @@ class BoardPoses:
 
 def estimate_board_poses(
     rig: StereoRig, detections: Detections, start: SE3 | None = None, weights: CornerWeights | None = None
-) -> BoardPoses:
+) -> PosedViews:
     """Robust maximum-likelihood pose of the board in every view, intrinsics and rig held.
 
     ``start`` holds one ``T_left_board`` per view that is known to be close. Without it the closed-form poses of both
@@ -62,7 +62,7 @@ def estimate_board_poses(
     ]
     R = np.where(is_found[:, None, None], so3.project_to_rotation(best.estimate.T_left_board.R[:, 0]), np.eye(3))
     t = np.where(is_found[:, None], best.estimate.T_left_board.t[:, 0], 0.0)
-    return BoardPoses(SE3(R, t), is_found, r2[0], r2[1])
+    return PosedViews(SE3(R, t), is_found, r2[0], r2[1])
 
 
 def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[SE3], ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.detection.chessboard.decision import Step, next_step, refusal
+from binocal.detection.chessboard.decision import Decision, decide, refused_board
 from binocal.detection.chessboard.sightings import Candidate, Sightings
 from binocal.detection.finding.lattice import Lattice
 from binocal.detection.finding.search import SearchLevel
@@ -48,44 +48,44 @@ REFUSED = not_found(54, "no")
     ("seen", "step"),
     [
         # search goes on
-        (sightings(), Step.SEARCH),
-        (sightings(level()), Step.SEARCH),
-        (sightings(level(lattice(7, 5))), Step.SEARCH),
-        (sightings(TWO), Step.SEARCH),
-        (sightings(level(), refused=REFUSED), Step.SEARCH),
+        (sightings(), Decision.SEARCH),
+        (sightings(level()), Decision.SEARCH),
+        (sightings(level(lattice(7, 5))), Decision.SEARCH),
+        (sightings(TWO), Decision.SEARCH),
+        (sightings(level(), refused=REFUSED), Decision.SEARCH),
         # a whole board is measured at once, a nearly whole one after one more search, or where there is none
-        (sightings(level(lattice())), Step.MEASURE),
-        (sightings(level(lattice(n_missing=2))), Step.MEASURE),  # 52 of 54: 96 %
-        (sightings(level(lattice(n_missing=3))), Step.SEARCH),  # 51 of 54: 94 %
-        (sightings(level(lattice(n_missing=3)), level()), Step.MEASURE),
-        (sightings(level(lattice(n_missing=3)), level(lattice(n_missing=2))), Step.MEASURE),
-        (ended(level(lattice(n_missing=13))), Step.MEASURE),  # 41 of 54: 76 %
-        (ended(level(lattice(n_missing=14))), Step.REFUSE),  # 40 of 54: 74 %
+        (sightings(level(lattice())), Decision.MEASURE),
+        (sightings(level(lattice(n_missing=2))), Decision.MEASURE),  # 52 of 54: 96 %
+        (sightings(level(lattice(n_missing=3))), Decision.SEARCH),  # 51 of 54: 94 %
+        (sightings(level(lattice(n_missing=3)), level()), Decision.MEASURE),
+        (sightings(level(lattice(n_missing=3)), level(lattice(n_missing=2))), Decision.MEASURE),
+        (ended(level(lattice(n_missing=13))), Decision.MEASURE),  # 41 of 54: 76 %
+        (ended(level(lattice(n_missing=14))), Decision.REFUSE),  # 40 of 54: 74 %
         # two searches running that show the same larger board end it
-        (sightings(level(BEYOND)), Step.SEARCH),
-        (sightings(level(BEYOND), level(BEYOND), part=None), Step.GROW),
-        (sightings(level(BEYOND), level(), level(BEYOND)), Step.SEARCH),
-        (sightings(level(BEYOND), level(lattice(11, 7))), Step.SEARCH),
+        (sightings(level(BEYOND)), Decision.SEARCH),
+        (sightings(level(BEYOND), level(BEYOND), part=None), Decision.GROW),
+        (sightings(level(BEYOND), level(), level(BEYOND)), Decision.SEARCH),
+        (sightings(level(BEYOND), level(lattice(11, 7))), Decision.SEARCH),
         # stretched images follow where corners were linked and nothing is settled
-        (ended(level(n_linked=8)), Step.STRETCH),
-        (ended(level(n_linked=7)), Step.REFUSE),
-        (ended(level(n_linked=8), level(n_linked=2)), Step.STRETCH),
-        (ended(level(n_linked=8), refused=REFUSED), Step.REFUSE),
-        (ended(level(n_linked=8), TWO), Step.REFUSE),
-        (ended(level(lattice(n_missing=3), n_linked=51)), Step.STRETCH),
-        (sightings(level(), is_stretched=True), Step.SEARCH),
-        (sightings(level(), is_stretched=True, refused=REFUSED), Step.REFUSE),
-        (sightings(TWO, is_stretched=True), Step.REFUSE),
-        (ended(level(n_linked=99), is_stretched=True), Step.REFUSE),
+        (ended(level(n_linked=8)), Decision.STRETCH),
+        (ended(level(n_linked=7)), Decision.REFUSE),
+        (ended(level(n_linked=8), level(n_linked=2)), Decision.STRETCH),
+        (ended(level(n_linked=8), refused=REFUSED), Decision.REFUSE),
+        (ended(level(n_linked=8), TWO), Decision.REFUSE),
+        (ended(level(lattice(n_missing=3), n_linked=51)), Decision.STRETCH),
+        (sightings(level(), is_stretched=True), Decision.SEARCH),
+        (sightings(level(), is_stretched=True, refused=REFUSED), Decision.REFUSE),
+        (sightings(TWO, is_stretched=True), Decision.REFUSE),
+        (ended(level(n_linked=99), is_stretched=True), Decision.REFUSE),
         # a part is grown where nothing else is left, and nothing settled
-        (ended(level(lattice(7, 5))), Step.GROW),
-        (ended(level(lattice(7, 2))), Step.REFUSE),
-        (ended(level(lattice(7, 5)), refused=REFUSED), Step.REFUSE),
-        (ended(level(lattice(7, 5)), TWO), Step.REFUSE),
+        (ended(level(lattice(7, 5))), Decision.GROW),
+        (ended(level(lattice(7, 2))), Decision.REFUSE),
+        (ended(level(lattice(7, 5)), refused=REFUSED), Decision.REFUSE),
+        (ended(level(lattice(7, 5)), TWO), Decision.REFUSE),
     ],
 )
 def test_the_next_step(seen, step):
-    assert next_step(seen) is step
+    assert decide(seen) is step
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_the_next_step(seen, step):
     ],
 )
 def test_the_reason_of_a_refusal(seen, reason, size_seen):
-    found = refusal(seen, BOARD)
+    found = refused_board(seen, BOARD)
     assert reason in found.reason and found.size_seen == size_seen and np.isnan(found.points_px).all()
 
 

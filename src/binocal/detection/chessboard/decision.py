@@ -14,7 +14,7 @@ from binocal.detection.found import FoundBoard, not_found
 SHARE_THAT_WILL_DO = 0.95  # with fewer corners at one scale, the next is searched too; a third seldom shows more
 
 
-class Step(Enum):
+class Decision(Enum):
     """What to do next."""
 
     SEARCH = "search the next level"
@@ -24,7 +24,7 @@ class Step(Enum):
     REFUSE = "give up and say why"
 
 
-def next_step(sightings: Sightings) -> Step:
+def decide(sightings: Sightings) -> Decision:
     """What to do next.
 
     A candidate is measured when it is full enough, when one more search was made since, or when nothing is left to be
@@ -34,32 +34,32 @@ def next_step(sightings: Sightings) -> Step:
     if sightings.pending:
         is_full = sightings.most_seen >= SHARE_THAT_WILL_DO * sightings.n_points
         if is_full or sightings.is_second_look or search is None:
-            return Step.MEASURE
+            return Decision.MEASURE
     if search is not None:
         return search
     if sightings.part is not None and not _is_settled(sightings):
-        return Step.GROW
-    return Step.REFUSE
+        return Decision.GROW
+    return Decision.REFUSE
 
 
-def _next_search(sightings: Sightings) -> Step | None:
+def _next_search(sightings: Sightings) -> Decision | None:
     """How the search goes on, None if it is at its end."""
     if sightings.agrees_on_larger:
         return None
     if not sightings.is_stretched and sightings.has_levels:
-        return Step.SEARCH
+        return Decision.SEARCH
     if _is_settled(sightings):
         return None  # a part of the image must not overrule what the whole of it showed
     if sightings.is_stretched:
-        return Step.SEARCH if sightings.has_levels else None
-    return Step.STRETCH if len(sightings.linked_px) >= LEAST_LINKED_TO_STRETCH else None
+        return Decision.SEARCH if sightings.has_levels else None
+    return Decision.STRETCH if len(sightings.linked_px) >= LEAST_LINKED_TO_STRETCH else None
 
 
 def _is_settled(sightings: Sightings) -> bool:
     return sightings.refused is not None or bool(sightings.several)
 
 
-def refusal(sightings: Sightings, board: Board) -> FoundBoard:
+def refused_board(sightings: Sightings, board: Board) -> FoundBoard:
     """The board as not found, with the reason that says most: what was measured, else what was seen instead."""
     if sightings.refused is not None:
         return sightings.refused

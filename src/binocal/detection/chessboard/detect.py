@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.detection.chessboard.decision import Step, next_step, refusal
+from binocal.detection.chessboard.decision import Decision, decide, refused_board
 from binocal.detection.chessboard.rivals import boards_among
 from binocal.detection.chessboard.sightings import Candidate, Sightings
 from binocal.detection.chessboard.verification import BoardImage, verify
@@ -32,27 +32,27 @@ def detect_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board)
     sightings = Sightings(shot.size, board.n_points)
     levels = scaled_levels(image, shot.size)
     while True:
-        match next_step(sightings):
-            case Step.SEARCH:
+        match decide(sightings):
+            case Decision.SEARCH:
                 level = next(levels, None)
                 sightings = sightings.without_more_levels() if level is None else sightings.with_level(level)
-            case Step.STRETCH:
+            case Decision.STRETCH:
                 levels = stretched_levels(image, shot.size, sightings.linked_px)
                 sightings = replace(sightings, is_stretched=True, has_levels=True)
-            case Step.MEASURE:
+            case Decision.MEASURE:
                 for candidate in sightings.by_corners_seen():
                     found = verify(shot, candidate)
                     if found.is_found:
                         return found
                     sightings = sightings.with_refused(found)
                 sightings = replace(sightings, pending=())
-            case Step.GROW:
+            case Decision.GROW:
                 whole = None if sightings.part is None else _grow(shot, sightings.part)
                 if whole is not None and (found := verify(shot, whole)).is_found:
                     return found
                 sightings = replace(sightings, part=None)
-            case Step.REFUSE:
-                return refusal(sightings, board)
+            case Decision.REFUSE:
+                return refused_board(sightings, board)
 
 
 def find_chessboard_size(image: UInt8[ndarray, "h w"]) -> tuple[int, int] | None:

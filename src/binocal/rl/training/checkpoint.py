@@ -1,7 +1,8 @@
-"""A run's checkpoint on disk: everything that going on needs, written aside and renamed."""
+"""A run's checkpoint on disk: everything that going on needs."""
 
 from __future__ import annotations
 
+import io
 import pickle
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import torch
 
 from binocal.errors import FormatError
+from binocal.output import write_aside
 from binocal.rl.training.trainer import Training
 
 VERSION = 1
@@ -16,9 +18,9 @@ VERSION = 1
 
 def save_checkpoint(training: Training, path: Path) -> None:
     """Writes a checkpoint; a kill while writing leaves the one before."""
-    aside = path.with_name(path.name + ".part")
-    torch.save({"version": VERSION, **training.state()}, aside)
-    aside.replace(path)
+    content = io.BytesIO()
+    torch.save({"version": VERSION, **training.state()}, content)
+    write_aside(path, content.getbuffer(), force=True)
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:

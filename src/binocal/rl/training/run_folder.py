@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from binocal.errors import DataError, OutputExistsError
+from binocal.errors import DataError
+from binocal.output import check_output_folder, write_aside
 from binocal.rl.evaluation import EvaluationSet, Row, compare_on, format_rows, simulated_evaluation_set
 from binocal.rl.history import TrainingHistory, load_history, write_history
 from binocal.rl.policy import Policy, load_policy, save_policy, shipped_policy
@@ -39,16 +40,13 @@ class TrainingRun:
 
 
 def check_folder(folder: Path, *, force: bool = False) -> None:
-    """Whether a run may go there, before anything is done for it; nothing is changed.
+    """Whether a run may go there, before anything is done for it; nothing is changed but the folder's parent, made if missing.
 
     Raises:
         OutputExistsError: It holds other files than a run that was cut, and ``force`` is False.
-        DataError: It is a file.
+        DataError: It is a file, or cannot be made.
     """
-    if folder.exists() and not folder.is_dir():
-        raise DataError(f"{folder} is a file; name a folder for the output.")
-    if folder.exists() and any(folder.iterdir()) and not (force or _holds_a_cut_run(folder)):
-        raise OutputExistsError(folder)
+    check_output_folder(folder, force=force or (folder.is_dir() and _holds_a_cut_run(folder)))
 
 
 def prepare_folder(folder: Path, *, force: bool = False) -> Path:
@@ -60,7 +58,7 @@ def prepare_folder(folder: Path, *, force: bool = False) -> Path:
     """
     check_folder(folder, force=force)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: the output's folder cannot be made: {error.strerror}.") from None
     if not _holds_a_cut_run(folder):
@@ -162,10 +160,10 @@ def train_agent(
     policy = replace(policy, card={key: value for key, value in card.items() if key != "table"})
     save_policy(policy, folder / WEIGHTS)
     write_history(training.history(), folder / HISTORY)
-    (folder / CHECKS).write_text(json.dumps([asdict(check) for check in training.checks], indent=1), encoding="utf-8")
-    (folder / TABLE).write_text(json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8")
+    write_aside(folder / CHECKS, json.dumps([asdict(check) for check in training.checks], indent=1), force=True)
+    write_aside(folder / TABLE, json.dumps([asdict(row) for row in rows], indent=1), force=True)
     evaluated_on = "rigs never trained on" if evaluation_set is None else evaluation_set.description
-    (folder / CARD).write_text(model_card(card, rows, evaluated_on), encoding="utf-8")
+    write_aside(folder / CARD, model_card(card, rows, evaluated_on), force=True)
     return TrainingRun(
         folder,
         policy,
