@@ -29,6 +29,7 @@ lint: $(VENV)/.stamp
 	$(BIN)/ruff check src tests docs examples
 	$(BIN)/ruff format --check src tests docs examples
 	$(BIN)/lint-imports
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 # The kernel's tests and a fuzzer of its functions, under AddressSanitizer and UndefinedBehaviorSanitizer (GCC or Clang on Linux).
 SANITIZED := build/sanitize

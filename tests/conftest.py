@@ -30,6 +30,7 @@ CHECKED = [
     "plugins",
     "output",
     "solvers",
+    "kernels",
     "calibrators",
     "rl",
     "formats",

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import binocal
-from binocal import kernels, threads
+from binocal import threads
 from binocal.boards import parse_board
 from binocal.cli import main
 from binocal.detection import pairs
+from binocal.kernels import arrays
 from binocal.simulation import RenderOptions, sample_scene, table2_rig
 from binocal.simulation import pairs as rendering
 
@@ -94,7 +95,7 @@ def test_kernels_images_and_rendering_use_that_number(monkeypatch):
     monkeypatch.setattr(rendering, "ThreadPoolExecutor", Pool)
     monkeypatch.setattr(pairs, "ThreadPoolExecutor", Pool)
     binocal.set_threads(3)
-    assert kernels._n_threads(10**9) == 3
+    assert arrays.threads_for(10**9) == 3
     scene = sample_scene(table2_rig(), parse_board("chessboard:7x5:32mm"), 1, np.random.default_rng(0))
     assert len(list(rendering.render_pairs(scene, RenderOptions(), np.random.SeedSequence(0)))) == 2
     pairs._detect_all([], scene.board, False, None, None, None, None)

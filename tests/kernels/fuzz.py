@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from binocal import kernels
-from binocal.kernels import _kernel, images
+from binocal.kernels import _kernel, corner_fits, images
 
 ROUNDS = int(os.environ.get("BINOCAL_FUZZ_ROUNDS", "300"))
 SEED = int(os.environ.get("BINOCAL_FUZZ_SEED", "0"))
@@ -223,13 +223,13 @@ def grow_groups(f: Fuzz) -> None:
 def fit_corners(f: Fuzz) -> None:
     n = f.size(9)
     image = f.image((np.uint8, np.uint16, np.float32))
-    images.fit_corners(image, f.places(n), np.abs(f.floats(n, scale=8.0)), np.abs(f.floats(n, scale=8.0)))
+    corner_fits.fit_corners(image, f.places(n), np.abs(f.floats(n, scale=8.0)), np.abs(f.floats(n, scale=8.0)))
 
 
 def pool_corners(f: Fuzz) -> None:
     n = f.size(12)
-    fits = images.CornerFits(f.floats(n, _kernel.CORNER_RESULT_SIZE, scale=5.0))
-    images.pool_corners(fits, f.floats(n, 2) if f.rng.random() < 0.5 else None)
+    fits = corner_fits.CornerFits(f.floats(n, _kernel.CORNER_RESULT_SIZE, scale=5.0).view(corner_fits.CORNER_FIT)[:, 0])
+    corner_fits.pool_corners(fits, f.floats(n, 2) if f.rng.random() < 0.5 else None)
 
 
 FUNCTIONS = [

@@ -4,10 +4,9 @@ import numpy as np
 import plain_accumulate
 import pytest
 
-from binocal import kernels
 from binocal.cameras import CAMERA_MODELS
 from binocal.geometry import so3
-from binocal.kernels import accumulate, squared_lengths, unweighted_columns
+from binocal.kernels import accumulate, linearization, squared_lengths, unweighted_columns
 from binocal.solvers import robust
 
 DISTORTIONS = {
@@ -143,7 +142,7 @@ def test_held_parameters_get_no_columns(free):
 def test_the_number_of_threads_changes_nothing(monkeypatch):
     views = make_views("brown5", 401)
     one = accumulate(views[0].name, *views[1:], np.asarray(60.0), "cauchy")
-    monkeypatch.setattr(kernels, "_n_threads", lambda n_corners: 3)
+    monkeypatch.setattr(linearization, "threads_for", lambda n_corners: 3)
     three = accumulate(views[0].name, *views[1:], np.asarray(60.0), "cauchy")
     assert np.array_equal(one.gram, three.gram) and np.array_equal(one.cost_px2, three.cost_px2)
 
@@ -162,6 +161,7 @@ def test_a_corner_in_the_camera_centre_costs_infinity_and_spoils_no_other_view(n
     assert np.isfinite(result.cost_px2[[0, 2]]).all() and np.isfinite(result.gram[[0, 2]]).all()
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_wrong_shapes_are_refused():
     _, parameters, R, t, points, pixels, is_seen = make_views("brown5")
     with pytest.raises(ValueError, match="number of parameters"):

@@ -4,7 +4,7 @@ import numpy as np
 import plain_corner_fit as plain
 import pytest
 
-from binocal.kernels.images import fit_corners
+from binocal.kernels.corner_fits import fit_corners
 
 
 def make_corner(opening_rad=1.4, turn_rad=0.3, blur_px=1.1, tone=0.0, noise_dn=2.0, seed=0, at=(20.3, 19.6)):
@@ -91,7 +91,9 @@ def test_no_corner_is_no_number():
     image, _ = make_corner()
     for start in ((1.0, 20.0), (np.nan, np.nan), (500.0, 20.0), (-3.0, 20.0), (np.inf, 0.0)):
         assert np.isnan(fit_one(image, start=start).points_px).all()
-    assert np.isnan(fit_one(image, reach=np.nan).points_px).all() and np.isnan(fit_one(image, reach=-1).points_px).all()
+    assert (
+        np.isnan(fit_one(image, reach=np.nan).points_px).all() and np.isnan(fit_one(image, reach=-1.0).points_px).all()
+    )
     assert fit_corners(image, np.zeros((0, 2)), np.zeros(0), np.zeros(0)).points_px.shape == (0, 2)
 
 

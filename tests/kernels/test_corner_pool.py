@@ -4,7 +4,7 @@ import numpy as np
 import plain_corner_pool as plain
 import pytest
 
-from binocal.kernels.images import CornerFits, pool_corners
+from binocal.kernels.corner_fits import CORNER_FIT, CornerFits, pool_corners
 
 
 def make_fits(columns, rows, seed=0):
@@ -14,21 +14,21 @@ def make_fits(columns, rows, seed=0):
     xy = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) * 0.02
     flat = xy / 0.02 - [columns / 2, rows / 2]
     points = 300 + flat @ [[41.0, 3.0], [-6.0, 33.0]] * (1 + 4e-4 * (flat**2).sum(axis=1, keepdims=True))
-    raw = np.zeros((n, 24))
-    raw[:, 0:2] = points + 0.01 * rng.standard_normal((n, 2))
-    raw[:, 2:4] = 1e-6 * (points - 300) + 3e-4 + 2e-4 * rng.standard_normal((n, 2))
+    fits = np.zeros(n, CORNER_FIT)
+    fits["point_px"] = points + 0.01 * rng.standard_normal((n, 2))
+    fits["light_slope"] = 1e-6 * (points - 300) + 3e-4 + 2e-4 * rng.standard_normal((n, 2))
     factor = rng.standard_normal((n, 4, 6)) * np.array([3e-3, 3e-3, 1e-4, 1e-4])[:, None]
     row, column = np.triu_indices(4)
-    raw[:, 4:14] = (factor @ factor.transpose(0, 2, 1))[:, row, column]
-    raw[:, 14] = rng.uniform(5, 14, n)
-    raw[:, 16] = rng.choice([-1, 1], n) * rng.uniform(40, 80, n)
-    raw[:, 17:19] = rng.uniform(0.26, 1.5, (n, 2))
-    raw[:, 19:21] = np.array([0.07, 1.75]) + 0.05 * rng.standard_normal((n, 2))
-    raw[:, 21] = rng.uniform(4, 14, n)
-    raw[2, 14] = 900.0
-    raw[4, 14] = 18.0
-    raw[3] = np.nan
-    return CornerFits(raw), xy
+    fits["covariance"] = (factor @ factor.transpose(0, 2, 1))[:, row, column]
+    fits["odd_variance"] = rng.uniform(5, 14, n)
+    fits["half_contrast_dn"] = rng.choice([-1, 1], n) * rng.uniform(40, 80, n)
+    fits["blur_px"] = rng.uniform(0.26, 1.5, (n, 2))
+    fits["edges_rad"] = np.array([0.07, 1.75]) + 0.05 * rng.standard_normal((n, 2))
+    fits["radius_px"] = rng.uniform(4, 14, n)
+    fits["odd_variance"][2] = 900.0
+    fits["odd_variance"][4] = 18.0
+    fits.view(float).reshape(n, -1)[3] = np.nan
+    return CornerFits(fits), xy
 
 
 @pytest.mark.parametrize("size", [(11, 8), (7, 5), (5, 4), (5, 2), (9, 7)], ids=str)
@@ -50,15 +50,15 @@ def test_a_corner_that_was_led_astray_moves_no_other(size):
     fits, xy = make_fits(*size)
     clean = pool_corners(fits, xy).points_px
     spoiled = np.array([1, size[0] + 2])
-    raw = fits.raw.copy()
-    raw[spoiled, 0] += 20.0
-    pooled = pool_corners(CornerFits(raw), xy).points_px
-    others = np.delete(np.arange(len(raw)), spoiled)
+    records = fits.records.copy()
+    records["point_px"][spoiled, 0] += 20.0
+    pooled = pool_corners(CornerFits(records), xy).points_px
+    others = np.delete(np.arange(len(records)), spoiled)
     assert np.nanmax(np.abs(pooled - clean)[others]) < 0.003  # measured: 0.001; without the guard 0.3
-    assert np.nanmax(np.abs(pooled[spoiled] - raw[spoiled, :2])) < 0.15
+    assert np.nanmax(np.abs(pooled[spoiled] - records["point_px"][spoiled])) < 0.15
 
 
 def test_no_fit_gives_no_noise():
-    pooled = pool_corners(CornerFits(np.full((5, 24), np.nan)), None)
+    pooled = pool_corners(CornerFits(np.full((5, 24), np.nan).view(CORNER_FIT)[:, 0]), None)
     assert np.isnan(pooled.noise_dn) and np.isnan(pooled.points_px).all()
-    assert len(pool_corners(CornerFits(np.empty((0, 24))), np.empty((0, 2))).points_px) == 0
+    assert len(pool_corners(CornerFits(np.empty(0, CORNER_FIT)), np.empty((0, 2))).points_px) == 0

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from binocal import kernels
 from binocal.geometry.homography import PlaneFrame, map_plane, plane_moments, solve_plane
-from binocal.kernels import fit_planes
+from binocal.kernels import fit_planes, transforms
 
 
 def make_views(n, n_views=5, seed=0):
@@ -40,7 +39,7 @@ def test_the_kernel_equals_the_numpy_statement(n, n_passes):
 def test_leading_dimensions_and_threads_change_nothing(monkeypatch):
     frame, u, v, w = make_views(20, 6)
     one = fit_planes(frame.xy, u, v, w, 2)
-    monkeypatch.setattr(kernels, "_n_threads", lambda n_corners: 3)
+    monkeypatch.setattr(transforms, "threads_for", lambda n_corners: 3)
     folded = fit_planes(frame.xy, *(a.reshape(2, 3, 20) for a in (u, v, w)), 2)
     assert folded[2].shape == (2, 3, 3, 6)
     assert all(np.array_equal(a, b.reshape(a.shape)) for a, b in zip(one, folded, strict=True))
@@ -55,6 +54,7 @@ def test_a_view_without_corners_is_nan_and_spoils_no_other():
     assert not np.isfinite(rows[2, :2]).any() and np.array_equal(rows[others], expected[others])
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_wrong_shapes_are_refused():
     frame, u, v, w = make_views(10)
     with pytest.raises(ValueError, match="views, n"):

@@ -93,6 +93,7 @@ def test_a_link_across_a_shadow_does_not_shear_a_group():
     assert len(members) == 24 and np.array_equal(cells - cells[members == 0], (points[members] / 20).astype(int))
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_no_corners_give_no_groups():
     image = np.zeros((40, 40), np.float32)
     none = np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0)
@@ -103,6 +104,7 @@ def test_no_corners_give_no_groups():
         images.link_corners(image, np.zeros((2, 2)), np.zeros((1, 4)), np.zeros(2), 0.4)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_the_response_is_the_plain_statement():
     image, _ = make_board(noise_dn=8.0)
     response = images.saddle_response(image)

@@ -1,4 +1,4 @@
-"""The compiled kernel's side door for images: X-corners, their links and lattices, the corner fit and its pooling.
+"""X-corners of images, the links between them and the lattices that they form.
 
 Images are C-contiguous (h, w). Points are (x, y), (0, 0) the centre of the top-left pixel. The kernel holds no lock while
 it works. Tests/kernels states each function plainly in NumPy and compares.
@@ -6,8 +6,6 @@ it works. Tests/kernels states each function plainly in NumPy and compares.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +15,6 @@ from binocal.kernels import _kernel
 from binocal.shapes import Bool, Float, Float32, Int
 
 N_RING = _kernel.N_RING
-_NOTHING = np.empty(0)
 
 
 def saddle_response(
@@ -128,115 +125,6 @@ def grow_groups(
     count = _kernel.grow_groups(_places(points_px), neighbour, back_ray, members, cells, turns, groups)
     ends = (np.flatnonzero(np.diff(groups[:count], append=-1)) + 1).tolist()
     return [(members[a:b], cells[a:b], turns[a:b]) for a, b in pairwise([0, *ends])]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerFits:
-    """Fits of the corner model, each on its own; NaN where it failed. ``raw`` is the kernel's ``CornerResult``."""
-
-    raw: Float[ndarray, "n 24"]
-
-    @property
-    def points_px(self) -> Float[ndarray, "n 2"]:
-        """The corners."""
-        return self.raw[:, 0:2]
-
-    @property
-    def light_slope(self) -> Float[ndarray, "n 2"]:
-        """The light's relative slope per pixel."""
-        return self.raw[:, 2:4]
-
-    @property
-    def joint_covariance(self) -> Float[ndarray, "n 4 4"]:
-        """Covariance of x, y and the two slopes for pixel noise of one grey level (px, 1/px)."""
-        joint = np.empty((len(self.raw), 4, 4))
-        row, column = np.triu_indices(4)
-        joint[:, row, column] = joint[:, column, row] = self.raw[:, 4:14]
-        return joint
-
-    @property
-    def odd_variance(self) -> Float[ndarray, "n"]:
-        """Mean square of what is odd in the residuals about the corner, grey levels^2."""
-        return self.raw[:, 14]
-
-    @property
-    def variance(self) -> Float[ndarray, "n"]:
-        """Mean square of all residuals, grey levels^2."""
-        return self.raw[:, 15]
-
-    @property
-    def contrast_dn(self) -> Float[ndarray, "n"]:
-        """Bright minus dark, negative where the image's sign is."""
-        return 2 * self.raw[:, 16]
-
-    @property
-    def blur_px(self) -> Float[ndarray, "n 2"]:
-        """The two edges' Gaussian sigmas, pixel integration included."""
-        return self.raw[:, 17:19]
-
-    @property
-    def edges_rad(self) -> Float[ndarray, "n 2"]:
-        """Directions of the two edges."""
-        return self.raw[:, 19:21]
-
-    @property
-    def radius_px(self) -> Float[ndarray, "n"]:
-        """Radius of the disc that was fitted."""
-        return self.raw[:, 21]
-
-    @property
-    def n_pixels(self) -> Float[ndarray, "n"]:
-        """Pixels in that disc."""
-        return self.raw[:, 22]
-
-    @property
-    def n_evaluations(self) -> Float[ndarray, "n"]:
-        """How often the model was evaluated."""
-        return self.raw[:, 23]
-
-
-def fit_corners(
-    grey: ndarray, points_px: Float[ndarray, "n 2"], reach_px: Float[ndarray, "n"], strip_px: Float[ndarray, "n"]
-) -> CornerFits:
-    """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
-
-    ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
-    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``.
-
-    Raises:
-        ValueError: The image is of another type or shape.
-    """
-    if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16, np.float32):
-        raise ValueError(f"an image is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
-    inputs = np.empty((len(points_px), 4))
-    inputs[:, :2], inputs[:, 2], inputs[:, 3] = points_px, reach_px, strip_px
-    raw = np.empty((len(inputs), _kernel.CORNER_RESULT_SIZE))
-    _kernel.fit_corners(np.ascontiguousarray(grey), inputs, raw)
-    return CornerFits(raw)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PooledCorners:
-    """Corners and covariances that share an image's noise and light, NaN where there is no corner.
-
-    ``misfit`` is the variance of the residuals' odd part over the image's noise.
-    """
-
-    points_px: Float[ndarray, "n 2"]
-    covariance_px2: Float[ndarray, "n 2 2"]
-    misfit: Float[ndarray, "n"]
-    noise_dn: float
-
-
-def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> PooledCorners:
-    """One estimate from the fits of one image; see ``corner_pool.hpp``.
-
-    With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
-    """
-    pooled = np.empty((len(fits.raw), _kernel.POOLED_CORNER_SIZE))
-    places = _NOTHING if board_xy is None else np.ascontiguousarray(board_xy, dtype=float)
-    noise2 = _kernel.pool_corners(fits.raw, places, pooled)
-    return PooledCorners(pooled[:, 0:2], pooled[:, 2:6].reshape(-1, 2, 2), pooled[:, 6], math.sqrt(noise2))
 
 
 def _places(points_px: ndarray) -> Float[ndarray, "n 2"]:

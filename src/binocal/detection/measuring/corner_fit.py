@@ -1,6 +1,6 @@
 """Corners by a maximum-likelihood fit of a blurred saddle to the raw image, each with its covariance.
 
-The model and the fit are :mod:`binocal.kernels.images`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
+The model and the fit are :mod:`binocal.kernels.corner_fits`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
 its own first, then all of an image as one estimate, for they share the pixels' noise, the light's slope and the lens.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from binocal.kernels import images
+from binocal.kernels import corner_fits
 from binocal.shapes import Float
 
 
@@ -49,8 +49,8 @@ def fit_corners(
     """
     points_px = np.asarray(points_px, dtype=float)
     strip = np.full(len(points_px), np.inf) if strip_px is None else strip_px
-    fits = images.fit_corners(grey, points_px, reach_px, strip)
-    pooled = images.pool_corners(fits, board_xy)
+    fits = corner_fits.fit_corners(grey, points_px, reach_px, strip)
+    pooled = corner_fits.pool_corners(fits, board_xy)
     blur = np.sqrt(np.maximum(fits.blur_px**2 - 1 / 12, 0))
     return FittedCorners(
         pooled.points_px, pooled.covariance_px2, pooled.noise_dn, pooled.misfit, blur, np.abs(fits.contrast_dn)

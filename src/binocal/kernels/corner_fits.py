@@ -1,0 +1,153 @@
+"""The fit of the corner model to an image, and the pooling of an image's fits.
+
+Model and formulas: ``corner_fit.hpp`` and ``corner_pool.hpp``. Points are (x, y), (0, 0) the centre of the top-left pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.kernels import _kernel
+from binocal.kernels.arrays import NOTHING
+from binocal.shapes import Float, Shaped
+
+CORNER_FIT = np.dtype(
+    [
+        ("point_px", float, 2),
+        ("light_slope", float, 2),
+        ("covariance", float, 10),
+        ("odd_variance", float),
+        ("variance", float),
+        ("half_contrast_dn", float),
+        ("blur_px", float, 2),
+        ("edges_rad", float, 2),
+        ("radius_px", float),
+        ("n_pixels", float),
+        ("n_evaluations", float),
+    ]
+)
+"""The kernel's ``CornerResult``: ``covariance`` is the upper triangle, row by row, of that of x, y and the two slopes."""
+
+POOLED_CORNER = np.dtype([("point_px", float, 2), ("covariance_px2", float, (2, 2)), ("misfit", float)])
+"""The kernel's ``PooledCorner``."""
+
+if CORNER_FIT.itemsize != 8 * _kernel.CORNER_RESULT_SIZE or POOLED_CORNER.itemsize != 8 * _kernel.POOLED_CORNER_SIZE:
+    raise ImportError("binocal's compiled kernel is of another version; install binocal again with pip")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerFits:
+    """Fits of the corner model, each on its own; NaN where it failed. ``records`` have the fields of :data:`CORNER_FIT`."""
+
+    records: Shaped[ndarray, "n"]
+
+    @property
+    def points_px(self) -> Float[ndarray, "n 2"]:
+        """The corners."""
+        return self.records["point_px"]
+
+    @property
+    def light_slope(self) -> Float[ndarray, "n 2"]:
+        """The light's relative slope per pixel."""
+        return self.records["light_slope"]
+
+    @property
+    def joint_covariance(self) -> Float[ndarray, "n 4 4"]:
+        """Covariance of x, y and the two slopes for pixel noise of one grey level (px, 1/px)."""
+        joint = np.empty((len(self.records), 4, 4))
+        row, column = np.triu_indices(4)
+        joint[:, row, column] = joint[:, column, row] = self.records["covariance"]
+        return joint
+
+    @property
+    def odd_variance(self) -> Float[ndarray, "n"]:
+        """Mean square of what is odd in the residuals about the corner, grey levels^2."""
+        return self.records["odd_variance"]
+
+    @property
+    def variance(self) -> Float[ndarray, "n"]:
+        """Mean square of all residuals, grey levels^2."""
+        return self.records["variance"]
+
+    @property
+    def contrast_dn(self) -> Float[ndarray, "n"]:
+        """Bright minus dark, negative where the image's sign is."""
+        return 2 * self.records["half_contrast_dn"]
+
+    @property
+    def blur_px(self) -> Float[ndarray, "n 2"]:
+        """The two edges' Gaussian sigmas, pixel integration included."""
+        return self.records["blur_px"]
+
+    @property
+    def edges_rad(self) -> Float[ndarray, "n 2"]:
+        """Directions of the two edges."""
+        return self.records["edges_rad"]
+
+    @property
+    def radius_px(self) -> Float[ndarray, "n"]:
+        """Radius of the disc that was fitted."""
+        return self.records["radius_px"]
+
+    @property
+    def n_pixels(self) -> Float[ndarray, "n"]:
+        """Pixels in that disc."""
+        return self.records["n_pixels"]
+
+    @property
+    def n_evaluations(self) -> Float[ndarray, "n"]:
+        """How often the model was evaluated."""
+        return self.records["n_evaluations"]
+
+
+def fit_corners(
+    grey: ndarray, points_px: Float[ndarray, "n 2"], reach_px: Float[ndarray, "n"], strip_px: Float[ndarray, "n"]
+) -> CornerFits:
+    """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
+
+    ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
+    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``.
+
+    Raises:
+        ValueError: The image is of another type or shape.
+    """
+    if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16, np.float32):
+        raise ValueError(f"an image is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
+    inputs = np.empty((len(points_px), 4))
+    inputs[:, :2], inputs[:, 2], inputs[:, 3] = points_px, reach_px, strip_px
+    records = np.empty(len(inputs), CORNER_FIT)
+    _kernel.fit_corners(np.ascontiguousarray(grey), inputs, _numbers(records))
+    return CornerFits(records)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PooledCorners:
+    """Corners and covariances that share an image's noise and light, NaN where there is no corner.
+
+    ``misfit`` is the variance of the residuals' odd part over the image's noise.
+    """
+
+    points_px: Float[ndarray, "n 2"]
+    covariance_px2: Float[ndarray, "n 2 2"]
+    misfit: Float[ndarray, "n"]
+    noise_dn: float
+
+
+def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> PooledCorners:
+    """One estimate from the fits of one image; see ``corner_pool.hpp``.
+
+    With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
+    """
+    pooled = np.empty(len(fits.records), POOLED_CORNER)
+    places = NOTHING if board_xy is None else np.ascontiguousarray(board_xy, dtype=float)
+    noise2 = _kernel.pool_corners(_numbers(fits.records), places, _numbers(pooled))
+    return PooledCorners(pooled["point_px"], pooled["covariance_px2"], pooled["misfit"], math.sqrt(noise2))
+
+
+def _numbers(records: Shaped[ndarray, "n"]) -> Float[ndarray, "n k"]:
+    """The same memory as plain numbers."""
+    return records.view(float).reshape(len(records), records.dtype.itemsize // 8)

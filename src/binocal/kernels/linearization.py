@@ -1,0 +1,124 @@
+"""Residuals, normal equations and robust costs of every view of one camera.
+
+A view's pose is perturbed from the left, ``T_camera_board <- exp(xi) T_camera_board``, so a corner moves by ``omega x X + tau``
+in the camera's own frame; the solver turns that into steps of the rig and of the board poses with adjoints
+(:mod:`binocal.solvers.board_views`). Both cameras look the same from here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.kernels import _kernel
+from binocal.kernels.arrays import flat, given, per_rig, threads_for
+from binocal.shapes import Bool, Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewEquations:
+    """Normal equations of every view of one camera.
+
+    ``gram`` is the weighted Gram matrix of the columns [free parameters, xi (6), residual]: JᵀWJ, JᵀWr and rᵀWr in one.
+    ``r2_px2`` are squared residual lengths, whitened where there is a whitening but without the robust weight, 0 where a
+    corner was not seen. ``cost_px2`` is the robust cost per view; inf where a seen corner lies behind a camera that
+    cannot see there, or where a number overflowed.
+    """
+
+    gram: Float[ndarray, "*batch views q q"]
+    r2_px2: Float[ndarray, "*batch views n"]
+    cost_px2: Float[ndarray, "*batch views"]
+
+
+def accumulate(
+    model: str,
+    parameters: Float[ndarray, "*batch p"],
+    R_camera_board: Float[ndarray, "*batch views 3 3"],
+    t_camera_board: Float[ndarray, "*batch views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    is_seen: Bool[ndarray, "*batch views n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+    is_free: Bool[ndarray, "p"] | None = None,
+    whitening: Float[ndarray, "*batch views 3 n"] | None = None,
+) -> ViewEquations:
+    """Linearise every corner of every view.
+
+    ``pixels`` must be finite where not seen too (any number), and so must ``whitening``: a, b, c of the matrix
+    [[a, 0], [b, c]] that a corner's residual and columns are multiplied by. Parameters that are not ``is_free``
+    (default: all are) get no columns.
+    """
+    *batch, n_views, n = is_seen.shape
+    free = np.ones(parameters.shape[-1], dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
+    q = int(np.count_nonzero(free)) + 7
+    n_rigs = math.prod(batch)
+    gram = np.empty((*batch, n_views, q, q))
+    r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
+    scale = per_rig(scale_px, tuple(batch))
+    arrays = flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
+    _kernel.accumulate(model, *arrays, given(whitening), free, scale, kernel, gram, r2, cost, threads_for(r2.size))
+    return ViewEquations(gram, r2, cost)
+
+
+def squared_lengths(
+    model: str,
+    parameters: Float[ndarray, "*batch p"],
+    R_camera_board: Float[ndarray, "*batch views 3 3"],
+    t_camera_board: Float[ndarray, "*batch views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    is_seen: Bool[ndarray, "*batch views n"],
+    whitening: Float[ndarray, "*batch views 3 n"] | None = None,
+) -> Float[ndarray, "*batch views n"]:
+    """Squared residual lengths alone, as those of :func:`accumulate`. 0 where not seen, inf where not finite."""
+    n_rigs = math.prod(is_seen.shape[:-2])
+    r2 = np.empty(is_seen.shape)
+    arrays = flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
+    _kernel.squared_lengths(model, *arrays, given(whitening), r2, threads_for(r2.size // 4))
+    return r2
+
+
+def robust_costs(
+    r2_px2: Float[ndarray, "*batch n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+) -> Float[ndarray, "*batch"]:
+    """Robust cost of squared residual lengths, summed over the last axis."""
+    batch = r2_px2.shape[:-1]
+    n_rigs = math.prod(batch)
+    cost = np.empty(batch)
+    scale = per_rig(scale_px, batch)
+    _kernel.costs(np.ascontiguousarray(r2_px2, dtype=float).reshape(n_rigs, -1), scale, kernel, cost)
+    return cost
+
+
+def median_lengths2(
+    r2_px2: tuple[Float[ndarray, "*batch views n"], ...], is_seen: tuple[Bool[ndarray, "*batch views n"], ...]
+) -> Float[ndarray, "*batch"]:
+    """Median of each rig's seen squared residual lengths, all cameras together; 0 where nothing is seen."""
+    medians = np.empty(r2_px2[0].shape[:-2])
+    _kernel.medians([np.ascontiguousarray(a) for a in r2_px2], [np.ascontiguousarray(a) for a in is_seen], medians)
+    return medians
+
+
+def unweighted_columns(
+    model: str,
+    parameters: Float[ndarray, "p"],
+    R_camera_board: Float[ndarray, "views 3 3"],
+    t_camera_board: Float[ndarray, "views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "views 2 n"],
+    is_seen: Bool[ndarray, "views n"],
+) -> Float[ndarray, "views q columns"]:
+    """The columns [parameters, xi (6), residual] themselves, of one rig, for solvers that must not square them."""
+    n_views, n = is_seen.shape
+    columns = np.empty((n_views, len(parameters) + 7, 2 * n))
+    _kernel.unweighted_columns(
+        model, *flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, 1), columns
+    )
+    return columns
