@@ -1,5 +1,6 @@
 # make demo: render, calibrate and compare.  make test: what CI runs.  make lint: the checks without the tests.
-# make fast: the fast tests alone.  make coverage: their branch coverage, with a floor.
+# make fast: the fast tests alone.  make coverage: their branch coverage, with a floor.  make mutants: do the fast tests notice when
+# a guard is taken out?
 # Each makes .venv and the compiled kernel first, and anew when pyproject.toml, constraints.txt or a kernel changes; the demonstration needs
 # no more than a user has, the tests also what trains the agent.
 
@@ -8,7 +9,7 @@ BIN := $(VENV)/bin
 PYTHONS := python3 python3.14 python3.13 python3.12 python3.11 python
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: demo test fast lint coverage sanitize docs
+.PHONY: demo test fast lint coverage mutants sanitize docs
 
 demo: $(VENV)/.core
 	@$(BIN)/binocal demo --output binocal-demo --force
@@ -24,6 +25,9 @@ coverage: $(VENV)/.stamp
 	$(BIN)/coverage run -m pytest -q -n auto -m "not slow"
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report
+
+mutants: $(VENV)/.stamp
+	$(BIN)/python tests/mutants/run.py
 
 lint: $(VENV)/.stamp
 	$(BIN)/ruff check src tests docs examples

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ from simulated_rigs import T_RIGHT_LEFT, TABLE2, Rig, grid, project, rotation_er
 from binocal.errors import BinocalError, DataError, DegenerateGeometryError, InconsistentViewsError, TooFewViewsError
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
+from binocal.geometry.homography import fit_homographies
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
+from binocal.initialization.input_checks import check_degeneracy
+from binocal.initialization.intrinsics import estimate_intrinsics
 
 FISHEYE = np.array([300, 300, 325, 236, 0, -0.02, 0.005, -0.003, 0.0005])
 KITTI_LIKE = np.array([721, 721, 609.5, 172.8, 0, 0, 0, 0, 0])
@@ -309,3 +313,13 @@ def test_parallel_boards_are_refused() -> None:
     noise = rng.normal(0, 0.2, left.shape)
     with pytest.raises(DegenerateGeometryError, match="parallel to each other"):
         diagnose_views(Detections.from_arrays(grid(), left + noise, right + noise[::-1], (1280, 960)))
+
+
+def test_tilts_that_leave_the_focal_length_open_are_refused() -> None:
+    rig = simulate(0, 20)
+    fit = fit_homographies(rig.points, rig.left_px)
+    initial = estimate_intrinsics(rig.points, rig.left_px, rig.size_wh, "brown4", homographies=fit)
+    check_degeneracy("left", initial, rig.points)
+    uncertain = replace(initial, vanishing=replace(initial.vanishing, sigma_log_focal=0.6))
+    with pytest.raises(DegenerateGeometryError, match="60 %"):
+        check_degeneracy("left", uncertain, rig.points)

@@ -11,7 +11,7 @@ import pytest
 import binocal
 from binocal import RigPrior
 from binocal.boards import parse_board
-from binocal.cameras import CAMERA_MODELS
+from binocal.cameras import CAMERA_MODELS, camera_model
 from binocal.geometry import SE3, so3
 from binocal.result import Covariance
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
@@ -205,3 +205,19 @@ def test_parts_and_names_that_no_rig_has_are_refused():
     singular = Covariance(earlier.covariance.names, np.ones(earlier.covariance.matrix.shape))
     with pytest.raises(ValueError, match="singular"):
         RigPrior.from_rig(earlier.rig, singular)
+
+
+def test_a_models_weak_prior_does_not_count_again():
+    rig = random_rig(np.random.default_rng(4), "brown8")
+    _, detections = recording(0, 12, rig)
+    before = solved(detections, model="brown8")
+    problem = BundleProblem(
+        np.ascontiguousarray(detections.object_points_m.T),
+        tuple(
+            CameraObservations.from_corners(camera_model("brown8"), px)
+            for px in (detections.left_px, detections.right_px)
+        ),
+    )
+    assert all(camera.prior_precision.any() for camera in problem.cameras)
+    left_only = RigPrior.from_calibration(before, parts=("left",)).applied(problem)
+    assert not left_only.cameras[0].prior_precision.any() and left_only.cameras[1].prior_precision.any()

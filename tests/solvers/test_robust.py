@@ -18,3 +18,10 @@ def test_the_median_scale_is_unbiased_and_floored():
     r2 = (np.random.default_rng(0).normal(0, 0.3, (2, 20000)) ** 2).sum(axis=0)
     assert robust.scale_of_median(np.median(r2)) == pytest.approx(0.3, rel=0.02)
     assert robust.scale_of_median(np.zeros(2)) == pytest.approx(robust.SCALE_FLOOR_PX)
+
+
+def test_hampels_weight_ends_at_seven_scales():
+    r2 = (0.2 * np.array([6.99, 7.01])) ** 2
+    assert robust.carries_weight(r2, np.asarray(0.2), "hampel").tolist() == [True, False]
+    assert (robust.weights(r2, np.asarray(0.2), "hampel") > 0).tolist() == [True, False]
+    assert robust.carries_weight(r2, np.asarray(0.2), "cauchy").all()

@@ -84,3 +84,10 @@ def test_views_are_selected_and_reordered_with_their_covariances():
     assert np.array_equal(turned.left_covariance_px2[1], good[1, ::-1])
     assert np.array_equal(turned.left_px[1], detections.left_px[1, ::-1], equal_nan=True)
     assert np.array_equal(turned.left_px[0], detections.left_px[0]) and turned.right_px is not None
+
+
+def test_no_misfit_is_added_where_the_covariances_are_large_enough():
+    wide = np.broadcast_to(0.1**2 * np.eye(2), (3, 30, 2, 2)).copy()
+    detections = detections_with(wide, wide)
+    residuals = tuple(np.full((3, 30), 0.01**2) for _ in range(2))
+    assert estimate_misfit_px(detections, residuals) == 0.0

@@ -167,9 +167,6 @@ def _without(fit: HomographyFit, dropped: Bool[ndarray, "views"]) -> HomographyF
     )  # fmt: skip
 
 
-# --- one camera -------------------------------------------------------------------------------------------------------
-
-
 def _share_focal(
     cameras: list[InitialCamera],
     fits: list[HomographyFit],

@@ -158,9 +158,6 @@ def check_size(camera: str, initial: InitialCamera, px: ndarray) -> Finding | No
     return None
 
 
-# --- left against right -----------------------------------------------------------------------------------------------
-
-
 def check_resolution(pixels: list[ndarray], sizes: list[tuple[int, int]], fits: list[HomographyFit]) -> None:
     """One camera's corners at a fraction of its image: they keep to its first part, and boards look smaller."""
     both = fits[0].is_valid & fits[1].is_valid
