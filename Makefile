@@ -1,6 +1,7 @@
 # make demo: render, calibrate and compare.  make test: what CI runs.  make lint: the checks without the tests.
 # make fast: the fast tests alone.  make coverage: their branch coverage, with a floor.  make mutants: do the fast tests notice when
 # a guard is taken out?
+# make docs: the pages that scripts write, and the site in build/site.
 # Each makes .venv and the compiled kernel first, and anew when pyproject.toml, constraints.txt or a kernel changes; the demonstration needs
 # no more than a user has, the tests also what trains the agent.
 
@@ -30,8 +31,8 @@ mutants: $(VENV)/.stamp
 	$(BIN)/python tests/mutants/run.py
 
 lint: $(VENV)/.stamp
-	$(BIN)/ruff check src tests docs examples
-	$(BIN)/ruff format --check src tests docs examples
+	$(BIN)/ruff check src tests docs examples benchmarks
+	$(BIN)/ruff format --check src tests docs examples benchmarks
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
@@ -50,10 +51,12 @@ sanitize: $(VENV)/.stamp
 	done
 
 docs: $(VENV)/.stamp
+	$(PIP_INSTALL) -e '.[docs]'
 	$(BIN)/python docs/make_cli_reference.py
 	$(BIN)/python docs/make_findings.py
 	$(BIN)/python docs/make_figure.py
 	$(BIN)/python docs/make_chessboard_figures.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
   $(BIN)/python -m pip install --quiet --disable-pip-version-check

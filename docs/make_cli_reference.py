@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,16 @@ import typer
 from binocal.cli.verbs import app
 
 PATH = Path(__file__).with_name("cli.md")
+WIDTH = 100
 HEAD = """# Command line
 
-Written by `docs/make_cli_reference.py`; change the verbs in `src/binocal/cli/verbs.py` instead of this page.
+Written by `docs/make_cli_reference.py`; change the verbs in `src/binocal/cli/verbs.py` instead of
+this page.
 
-Results go to stdout, everything else (what was ignored or dropped and why, progress) to stderr. With `--json`,
-stdout holds exactly one document, on errors too: `{"error": {"code": ..., "message": ...}}`. Nothing is overwritten
-without `--force`; a file is there in full or not at all.
+Results go to stdout, everything else (what was ignored or dropped and why, progress) to stderr.
+With `--json`, stdout holds exactly one document, on errors too:
+`{"error": {"code": ..., "message": ...}}`. Nothing is overwritten without `--force`; a file is
+there in full or not at all.
 
 | exit code | meaning |
 |---|---|
@@ -39,15 +43,23 @@ def _section(name: str, command: Any) -> str:
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
     usage = " ".join(["binocal", name, *(p.metavar or p.name.upper() for p in arguments), "[OPTIONS]"])
-    lines = [f"\n## binocal {name}\n", command.help.strip(), f"\n```\n{usage}\n```\n"]
-    lines += [f"- `{p.metavar or p.name.upper()}`: {p.help}" for p in arguments]
+    lines = [f"\n## binocal {name}\n", _filled(command.help.strip()), f"\n```\n{usage}\n```\n"]
+    lines += [_item(f"- `{p.metavar or p.name.upper()}`: {p.help}") for p in arguments]
     for p in options:
         metavar = "" if p.is_flag else f" {p.metavar}"
         shown = (
             f" (default `{_shown(p.default)}`)" if not p.is_flag and p.default is not None and not p.required else ""
         )
-        lines.append(f"- `{p.opts[0]}{metavar}`{' (required)' if p.required else ''}: {p.help}{shown}")
+        lines.append(_item(f"- `{p.opts[0]}{metavar}`{' (required)' if p.required else ''}: {p.help}{shown}"))
     return "\n".join(lines) + "\n"
+
+
+def _filled(text: str) -> str:
+    return textwrap.fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
+
+
+def _item(text: str) -> str:
+    return textwrap.fill(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def _shown(value: Any) -> str:
