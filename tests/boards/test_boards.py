@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from binocal.boards import Board, load_board, parse_board
 from binocal.errors import FormatError
@@ -75,3 +77,51 @@ def test_a_bad_board_file_is_named(tmp_path):
     path.write_text("target_type: aprilgrid\n")
     with pytest.raises(FormatError, match=r"bad\.yaml.*tagCols"):
         load_board(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "spec"),
+    [
+        ("board: charuco:11x8:30mm:22mm:DICT_5X5_50", "charuco:11x8:30mm:22mm:DICT_5X5_50"),
+        ("target_type: circlegrid\ntargetCols: 10\ntargetRows: 9\nspacingMeters: 0.03", "circles:10x9:30mm"),
+        (
+            "target_type: circlegrid\ntargetCols: 4\ntargetRows: 11\nspacingMeters: 0.02\nasymmetricGrid: true",
+            "acircles:4x11:20mm",
+        ),
+    ],
+)
+def test_other_board_files_are_read(text, spec, tmp_path):
+    path = tmp_path / "board.yml"
+    path.write_text(text)
+    assert load_board(str(path)) == parse_board(spec)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("- 1\n- 2", "expected `board: SPEC`"),
+        ("board: [", "cannot be read as YAML"),
+        ("board: hexagons:3x3", "is not a board"),
+        ("target_type: torus\ntargetCols: 3\ntargetRows: 3", "torus"),
+        (
+            "target_type: checkerboard\ntargetCols: 9\ntargetRows: 6\nrowSpacingMeters: 0.03\ncolSpacingMeters: 0.04",
+            "only square fields",
+        ),
+    ],
+)
+def test_other_bad_board_files_are_named(text, words, tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=words) as caught:
+        load_board(str(path))
+    assert "bad.yaml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@given(st.text(alphabet="chesboardurcilgp:x0123456789.m ", max_size=24))
+def test_any_text_is_a_board_or_one_clear_line(text):
+    try:
+        board = parse_board(text)
+    except ValueError as error:
+        assert str(error) and "\n" not in str(error)
+    else:
+        assert board.columns >= 1 and board.rows >= 1 and len(board.object_points_m) > 0
