@@ -211,3 +211,27 @@ def test_a_corner_behind_the_camera_costs_infinity():
     behind = t * [1, 1, -1]
     cost = accumulate(model.name, parameters, R, behind, points, pixels, is_seen, np.asarray(1.0), "squared").cost_px2
     assert np.all(np.isinf(cost))
+
+
+@pytest.mark.parametrize("depth_m", [0.5, 3.0])
+@pytest.mark.parametrize("off_axis", [0.0, 1e-160, 1e-12, 1e-5])
+def test_a_fisheye_is_smooth_across_its_axis(depth_m, off_axis):
+    # there x = X / Z to third order, whatever the coefficients: columns have a limit, though radius and angle are 0 / 0
+    parameters, f = np.r_[800.0, 820, 640, 480, 2.0, DISTORTIONS["fisheye4"]], np.array([800.0, 820])
+    t = np.array([[off_axis, -off_axis, depth_m]])
+    views = parameters, np.eye(3)[None], t, np.zeros((3, 1)), np.zeros((1, 2, 1)), np.ones((1, 1), bool)
+    columns = unweighted_columns("fisheye4", *views)[0]
+    expected = [[f[0] / depth_m, 0], [2.0 / depth_m, f[1] / depth_m]]
+    assert np.allclose(columns[12:14], expected, rtol=1e-8, atol=1e-5)
+    assert np.allclose(columns[5:9], 0, atol=1e-10) and np.allclose(columns[14], -t[0, :2] * f / depth_m**2, atol=0.01)
+    assert np.allclose(columns[15], -parameters[2:4], atol=0.02)
+    assert np.isfinite(accumulate("fisheye4", *views, np.asarray(1.0), "hampel").gram).all()
+
+
+def test_a_fisheye_sees_to_the_side_and_behind():
+    angles = np.concatenate([np.linspace(0.01, 3.1, 200), [np.pi / 2, np.pi / 4, 3 * np.pi / 4]])
+    points = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)])
+    parameters, n = np.r_[1.0, 1, 0, 0, np.zeros(5)], len(angles)
+    views = np.eye(3)[None], np.zeros((1, 3)), points, np.zeros((1, 2, n)), np.ones((1, n), bool)
+    lengths = np.sqrt(squared_lengths("fisheye4", parameters, *views)[0])
+    assert np.allclose(lengths, angles, rtol=1e-15, atol=1e-15)  # without distortion the image is the angle itself

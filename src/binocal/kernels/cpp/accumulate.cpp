@@ -4,6 +4,7 @@
 // one of v entries, padded with zeros to whole vectors, so that both the camera model and the Gram matrix are plain
 // loops over corners. Views are independent; each is summed in one fixed order, whatever the number of threads.
 
+#include "camera_models.hpp"
 #include "gram.hpp"
 #include "kernel.hpp"
 
@@ -53,158 +54,19 @@ struct Scratch {
     }
 };
 
-// Each model fills the parameter columns (only if Full) and returns u, v and their gradients by X, Y, Z of one corner.
-struct Projection {
-    double u, v, ux, uy, uz, vx, vy, vz;
-};
-
-template <int D>
-struct Brown {
-    static constexpr int n_parameters = 5 + D;
-    static constexpr bool is_vectorised = true;
-    double fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6;
-    explicit Brown(const double* a)
-        : fx(a[0]), fy(a[1]), cx(a[2]), cy(a[3]), skew(a[4]), k1(a[5]), k2(a[6]), p1(a[7]), p2(a[8]),
-          k3(D > 4 ? a[D > 4 ? 9 : 0] : 0), k4(D > 5 ? a[D > 5 ? 10 : 0] : 0), k5(D > 5 ? a[D > 5 ? 11 : 0] : 0),
-          k6(D > 5 ? a[D > 5 ? 12 : 0] : 0) {}
-
-    template <bool Full>
-    BINOCAL_INLINE Projection at(double X, double Y, double Z, double* const* c, std::size_t j, std::size_t run) const {
-        const double inverse_Z = 1.0 / Z;
-        const double a = X * inverse_Z, b = Y * inverse_Z;
-        const double a2 = a * a, b2 = b * b, ab = a * b, r2 = a2 + b2;
-        double factor, slope, inverse_denominator = 1.0;
-        if constexpr (D == 4) {
-            factor = 1 + r2 * (k1 + r2 * k2);
-            slope = k1 + 2 * k2 * r2;
-        } else {
-            factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
-            slope = k1 + r2 * (2 * k2 + 3 * k3 * r2);
-        }
-        if constexpr (D == 8) {
-            inverse_denominator = 1.0 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-            factor *= inverse_denominator;
-            slope = (slope - factor * (k4 + r2 * (2 * k5 + 3 * k6 * r2))) * inverse_denominator;
-        }
-        const double two_ab = 2 * ab, t_a = r2 + 2 * a2, t_b = r2 + 2 * b2;
-        const double xd = a * factor + p1 * two_ab + p2 * t_a;
-        const double yd = b * factor + p1 * t_b + p2 * two_ab;
-        const double two_slope = 2 * slope;
-        const double xa = factor + two_slope * a2 + 2 * p1 * b + 6 * p2 * a;
-        const double xb = two_slope * ab + 2 * p1 * a + 2 * p2 * b;
-        const double yb = factor + two_slope * b2 + 6 * p1 * b + 2 * p2 * a;
-        const double fx_z = fx * inverse_Z, fy_z = fy * inverse_Z, skew_z = skew * inverse_Z;
-        Projection out;
-        out.u = fx * xd + skew * yd + cx;
-        out.v = fy * yd + cy;
-        out.ux = fx_z * xa + skew_z * xb;
-        out.uy = fx_z * xb + skew_z * yb;
-        out.vx = fy_z * xb;
-        out.vy = fy_z * yb;
-        out.uz = -(a * out.ux + b * out.uy);
-        out.vz = -(a * out.vx + b * out.vy);
-        if constexpr (Full) {
-            c[0][j] = xd, c[0][run + j] = 0;
-            c[1][j] = 0, c[1][run + j] = yd;
-            c[2][j] = 1, c[2][run + j] = 0;
-            c[3][j] = 0, c[3][run + j] = 1;
-            c[4][j] = yd, c[4][run + j] = 0;
-            const double r = D == 8 ? r2 * inverse_denominator : r2;
-            const double u1 = (fx * a + skew * b) * r, v1 = fy * b * r;
-            const double u2 = u1 * r2, v2 = v1 * r2;
-            c[5][j] = u1, c[5][run + j] = v1;
-            c[6][j] = u2, c[6][run + j] = v2;
-            c[7][j] = fx * two_ab + skew * t_b, c[7][run + j] = fy * t_b;
-            c[8][j] = fx * t_a + skew * two_ab, c[8][run + j] = fy * two_ab;
-            if constexpr (D > 4) {
-                const double u3 = u2 * r2, v3 = v2 * r2;
-                c[9][j] = u3, c[9][run + j] = v3;
-                if constexpr (D > 5) {
-                    c[10][j] = -factor * u1, c[10][run + j] = -factor * v1;
-                    c[11][j] = -factor * u2, c[11][run + j] = -factor * v2;
-                    c[12][j] = -factor * u3, c[12][run + j] = -factor * v3;
-                }
-            }
-        }
-        return out;
-    }
-
-    BINOCAL_INLINE void project(double X, double Y, double Z, double& u, double& v) const {
-        const double inverse_Z = 1.0 / Z;
-        const double a = X * inverse_Z, b = Y * inverse_Z;
-        const double r2 = a * a + b * b;
-        double factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        if constexpr (D == 8) factor /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6));
-        const double xd = a * factor + 2 * p1 * a * b + p2 * (r2 + 2 * a * a);
-        const double yd = b * factor + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b;
-        u = fx * xd + skew * yd + cx;
-        v = fy * yd + cy;
-    }
-};
-
-struct Fisheye {
-    static constexpr int n_parameters = 9;
-    double fx, fy, cx, cy, skew, k1, k2, k3, k4;
-    explicit Fisheye(const double* a)
-        : fx(a[0]), fy(a[1]), cx(a[2]), cy(a[3]), skew(a[4]), k1(a[5]), k2(a[6]), k3(a[7]), k4(a[8]) {}
-
-    template <bool Full>
-    BINOCAL_INLINE Projection at(double X, double Y, double Z, double* const* c, std::size_t j, std::size_t run) const {
-        const double r = std::sqrt(X * X + Y * Y);
-        const bool is_axis = r < 1e-15;  // on the axis itself the direction is x
-        const double inverse_r = is_axis ? 1.0 : 1.0 / r;
-        const double m = is_axis ? 1.0 : X * inverse_r, n = is_axis ? 0.0 : Y * inverse_r;
-        const double theta = std::atan2(r, Z), theta2 = theta * theta;
-        const double theta_d = theta * (1 + theta2 * (k1 + theta2 * (k2 + theta2 * (k3 + theta2 * k4))));
-        const double slope = 1 + theta2 * (3 * k1 + theta2 * (5 * k2 + theta2 * (7 * k3 + 9 * theta2 * k4)));
-        const double xd = m * theta_d, yd = n * theta_d;
-        const double inverse_rho2 = 1.0 / (r * r + Z * Z);
-        const double along = slope * Z * inverse_rho2;
-        const double across = is_axis ? along : theta_d * inverse_r;
-        const double depth = -slope * r * inverse_rho2;
-        const double xx = m * m * along + n * n * across, xy = m * n * (along - across);
-        const double yy = n * n * along + m * m * across, xz = m * depth, yz = n * depth;
-        if constexpr (Full) {
-            c[0][j] = xd, c[0][run + j] = 0;
-            c[1][j] = 0, c[1][run + j] = yd;
-            c[2][j] = 1, c[2][run + j] = 0;
-            c[3][j] = 0, c[3][run + j] = 1;
-            c[4][j] = yd, c[4][run + j] = 0;
-            const double u = fx * m + skew * n, v = fy * n;
-            double power = theta * theta2;
-            for (int k = 0; k < 4; ++k) {
-                c[5 + k][j] = u * power, c[5 + k][run + j] = v * power;
-                power *= theta2;
-            }
-        }
-        return {fx * xd + skew * yd + cx, fy * yd + cy,
-                fx * xx + skew * xy, fx * xy + skew * yy, fx * xz + skew * yz,
-                fy * xy, fy * yy, fy * yz};
-    }
-
-    BINOCAL_INLINE void project(double X, double Y, double Z, double& u, double& v) const {
-        const double r = std::sqrt(X * X + Y * Y);
-        const bool is_axis = r < 1e-15;
-        const double theta = std::atan2(r, Z), theta2 = theta * theta;
-        const double theta_d = theta * (1 + theta2 * (k1 + theta2 * (k2 + theta2 * (k3 + theta2 * k4))));
-        const double xd = is_axis ? theta_d : X / r * theta_d, yd = is_axis ? 0.0 : Y / r * theta_d;
-        u = fx * xd + skew * yd + cx;
-        v = fy * yd + cy;
-    }
-};
-
 // Columns, squared lengths and depths of one view.
 template <class Model, bool Full>
 BINOCAL_INLINE void fill(const Task& task, const Scratch& s, std::size_t view, double* const* column) {
     const std::size_t n = task.n, run = s.run;
-    const Model model(task.parameters + view / task.views_per_rig * task.p);
+    constexpr int p = n_parameters_of<Model>;
+    double a[p];
+    std::copy_n(task.parameters + view / task.views_per_rig * p, p, a);
     const double* R = task.R + 9 * view;
     const double* t = task.t + 3 * view;
     const double R00 = R[0], R01 = R[1], R02 = R[2], R10 = R[3], R11 = R[4], R12 = R[5], R20 = R[6], R21 = R[7],
                  R22 = R[8], t0 = t[0], t1 = t[1], t2 = t[2];
     const double *x = task.points, *y = x + n, *z = y + n;
     const double *pixel_u = task.pixels + 2 * n * view, *pixel_v = pixel_u + n;
-    constexpr int p = Model::n_parameters;
     double *depth = s.Z, *length2 = s.length2;
     double* c[p + 7];
     std::copy(column, column + p + 7, c);
@@ -213,7 +75,16 @@ BINOCAL_INLINE void fill(const Task& task, const Scratch& s, std::size_t view, d
         const double X = R00 * x[j] + R01 * y[j] + R02 * z[j] + t0;
         const double Y = R10 * x[j] + R11 * y[j] + R12 * z[j] + t1;
         const double Z = R20 * x[j] + R21 * y[j] + R22 * z[j] + t2;
-        const Projection g = model.template at<Full>(X, Y, Z, c, j, run);
+        const Linearization<Model> g = linearize<Model, Full>(a, X, Y, Z);
+        if constexpr (Full) {
+            c[0][j] = g.x, c[0][run + j] = 0;
+            c[1][j] = 0, c[1][run + j] = g.y;
+            c[2][j] = 1, c[2][run + j] = 0;
+            c[3][j] = 0, c[3][run + j] = 1;
+            c[4][j] = g.y, c[4][run + j] = 0;
+            for (int k = 0; k < Model::n_coefficients; ++k)
+                c[kIntrinsics + k][j] = g.coefficients[k][0], c[kIntrinsics + k][run + j] = g.coefficients[k][1];
+        }
         c[p][j] = Y * g.uz - Z * g.uy, c[p][run + j] = Y * g.vz - Z * g.vy;
         c[p + 1][j] = Z * g.ux - X * g.uz, c[p + 1][run + j] = Z * g.vx - X * g.vz;
         c[p + 2][j] = X * g.uy - Y * g.ux, c[p + 2][run + j] = X * g.vy - Y * g.vx;
@@ -335,7 +206,7 @@ BINOCAL_INLINE void whiten_column(double* u, double* v, const double* whitening,
 
 template <class Model, bool Full, int lanes>
 BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
-    constexpr int p = Model::n_parameters, q = p + 7;
+    constexpr int p = n_parameters_of<Model>, q = p + 7;
     Scratch s(task.n);
     double* column[q];
     int m = 0;  // columns that are kept
@@ -385,7 +256,7 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
 
 template <class Model, int lanes>
 BINOCAL_INLINE void fill_columns(const Task& task, std::size_t first, std::size_t last) {
-    constexpr int p = Model::n_parameters, q = p + 7;
+    constexpr int p = n_parameters_of<Model>, q = p + 7;
     const std::size_t n = task.n;
     Scratch s(n);
     double* column[q];
@@ -406,7 +277,9 @@ BINOCAL_INLINE void measure_as(const Task& task, std::size_t first, std::size_t 
     const std::size_t n = task.n;
     const double *x = task.points, *y = x + n, *z = y + n;
     for (std::size_t view = first; view < last; ++view) {
-        const Model model(task.parameters + view / task.views_per_rig * task.p);
+        constexpr int p = n_parameters_of<Model>;
+        double parameters[p];
+        std::copy_n(task.parameters + view / task.views_per_rig * p, p, parameters);
         const double *R = task.R + 9 * view, *t = task.t + 3 * view, *pixel = task.pixels + 2 * n * view;
         const bool* seen = task.is_seen + n * view;
         const double *a = is_whitened ? task.whitening + 3 * n * view : nullptr, *b = is_whitened ? a + n : nullptr,
@@ -414,10 +287,10 @@ BINOCAL_INLINE void measure_as(const Task& task, std::size_t first, std::size_t 
         double* out = task.r2 + n * view;
         BINOCAL_INDEPENDENT
         for (std::size_t j = 0; j < n; ++j) {
-            double u, v;
-            model.project(R[0] * x[j] + R[1] * y[j] + R[2] * z[j] + t[0], R[3] * x[j] + R[4] * y[j] + R[5] * z[j] + t[1],
-                          R[6] * x[j] + R[7] * y[j] + R[8] * z[j] + t[2], u, v);
-            double e_u = pixel[j] - u, e_v = pixel[n + j] - v;
+            const double X = R[0] * x[j] + R[1] * y[j] + R[2] * z[j] + t[0], Y = R[3] * x[j] + R[4] * y[j] + R[5] * z[j] + t[1],
+                         Z = R[6] * x[j] + R[7] * y[j] + R[8] * z[j] + t[2];
+            const Point2<double, double> at = project<Model>(parameters, X, Y, Z);
+            double e_u = pixel[j] - at.x, e_v = pixel[n + j] - at.y;
             if constexpr (is_whitened) {
                 e_v = b[j] * e_u + c[j] * e_v;
                 e_u = a[j] * e_u;
@@ -444,10 +317,7 @@ BINOCAL_INLINE void measure(const Task& task, std::size_t first, std::size_t las
     BINOCAL_DISPATCH(held_##name, Task, (run_views<Model, false, lanes>(task, first, last)))  \
     BINOCAL_DISPATCH(columns_##name, Task, (fill_columns<Model, lanes>(task, first, last)))   \
     BINOCAL_DISPATCH(measure_##name, Task, (measure<Model, lanes>(task, first, last)))
-BINOCAL_COPIES(brown4, Brown<4>)
-BINOCAL_COPIES(brown5, Brown<5>)
-BINOCAL_COPIES(brown8, Brown<8>)
-BINOCAL_COPIES(fisheye4, Fisheye)
+BINOCAL_CAMERA_MODELS(BINOCAL_COPIES)
 
 using Work = void (*)(const Task&, std::size_t, std::size_t);
 struct Copies {
@@ -456,9 +326,9 @@ struct Copies {
     bool sees_behind;
     Work views, held, columns, measure;
 };
-#define BINOCAL_ENTRY(name, p, behind) {#name, p, behind, views_##name, held_##name, columns_##name, measure_##name}
-constexpr Copies kModels[] = {BINOCAL_ENTRY(brown4, 9, false), BINOCAL_ENTRY(brown5, 10, false),
-                              BINOCAL_ENTRY(brown8, 13, false), BINOCAL_ENTRY(fisheye4, 9, true)};
+#define BINOCAL_ENTRY(name, Model) \
+    {#name, n_parameters_of<Model>, Model::sees_behind, views_##name, held_##name, columns_##name, measure_##name},
+constexpr Copies kModels[] = {BINOCAL_CAMERA_MODELS(BINOCAL_ENTRY)};
 
 const Copies& copies_of(const std::string& name) {
     for (const Copies& model : kModels) {

@@ -25,12 +25,6 @@
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
 #define BINOCAL_AVX2 1
 #endif
-#if defined(_MSC_VER)
-#define BINOCAL_INLINE __forceinline
-#else
-#define BINOCAL_INLINE inline __attribute__((always_inline))
-#endif
-
 namespace binocal {
 
 constexpr int kLanes = 8;

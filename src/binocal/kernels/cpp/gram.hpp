@@ -1,4 +1,4 @@
-// Gram matrices of long columns, and the compiler's words for inlining, vectorising and several copies.
+// Gram matrices of long columns.
 #pragma once
 
 #include "cpu.hpp"
@@ -6,43 +6,9 @@
 #include <cstddef>
 #include <cstring>
 
-#if defined(__GNUC__)
-#define BINOCAL_INLINE [[gnu::always_inline]] inline
-#else
-#define BINOCAL_INLINE inline
-#endif
-#if defined(__clang__)
-#define BINOCAL_INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")
-#elif defined(__GNUC__)
-#define BINOCAL_INDEPENDENT _Pragma("GCC ivdep")
-#else
-#define BINOCAL_INDEPENDENT __pragma(loop(ivdep))
-#endif
-// One build serves every x86-64 machine: hot functions are compiled three times, and the widest copy that the processor
-// runs is called (see BINOCAL_DISPATCH). Elsewhere the compiler's baseline (NEON on Arm) is all there is.
-#if BINOCAL_X86
-#define BINOCAL_V3 __attribute__((target("arch=x86-64-v3")))
-#define BINOCAL_V4 __attribute__((target("arch=x86-64-v4")))
-#endif
-
 namespace binocal {
 
 constexpr int kRun = 8;  // the longest vector, in doubles: columns are padded to whole ones
-
-// Defines void name(const Task&, first, last), which calls the widest copy of body<lanes>(task, first, last).
-#if BINOCAL_X86
-#define BINOCAL_DISPATCH(name, Task, ...)                                                                             \
-    BINOCAL_V4 void name##_v4(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 8; __VA_ARGS__; } \
-    BINOCAL_V3 void name##_v3(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; } \
-    void name##_v2(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; }    \
-    void name(const Task& task, std::size_t first, std::size_t last) {                                                \
-        static const auto widest = has_avx512() ? name##_v4 : has_avx2() ? name##_v3 : name##_v2;                     \
-        widest(task, first, last);                                                                                    \
-    }
-#else
-#define BINOCAL_DISPATCH(name, Task, ...)                                                                             \
-    void name(const Task& task, std::size_t first, std::size_t last) { constexpr int lanes = 4; __VA_ARGS__; }
-#endif
 
 #if defined(__GNUC__)
 template <int lanes>

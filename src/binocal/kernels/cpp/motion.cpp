@@ -2,7 +2,7 @@
 //
 // Points, parameters and pixels are truncated Taylor series in the length s of the step; the series is summed at s = 1.
 
-#include "gram.hpp"
+#include "camera_models.hpp"
 #include "kernel.hpp"
 
 #include <algorithm>
@@ -13,59 +13,6 @@
 
 namespace binocal {
 namespace {
-
-// c0 + c1 s + c2 s²
-struct Series {
-    double c0, c1, c2;
-};
-BINOCAL_INLINE Series operator+(Series a, Series b) { return {a.c0 + b.c0, a.c1 + b.c1, a.c2 + b.c2}; }
-BINOCAL_INLINE Series operator+(double a, Series b) { return {a + b.c0, b.c1, b.c2}; }
-BINOCAL_INLINE Series operator*(double a, Series b) { return {a * b.c0, a * b.c1, a * b.c2}; }
-BINOCAL_INLINE Series operator*(Series a, Series b) {
-    return {a.c0 * b.c0, a.c0 * b.c1 + a.c1 * b.c0, a.c0 * b.c2 + a.c1 * b.c1 + a.c2 * b.c0};
-}
-BINOCAL_INLINE Series inverse(Series a) {
-    const double i = 1 / a.c0, r1 = a.c1 * i, r2 = a.c2 * i;
-    return {i, -i * r1, i * (r1 * r1 - r2)};
-}
-BINOCAL_INLINE Series root(Series a) {
-    const double r = std::sqrt(a.c0), h = 0.5 / r, c1 = a.c1 * h;
-    return {r, c1, h * (a.c2 - c1 * c1)};
-}
-BINOCAL_INLINE Series angle_of(Series y, Series x) {
-    const double i = 1 / (y.c0 * y.c0 + x.c0 * x.c0), n0 = x.c0 * y.c1 - y.c0 * x.c1;
-    const double n1 = 2 * (x.c0 * y.c2 - y.c0 * x.c2), d1 = 2 * (y.c0 * y.c1 + x.c0 * x.c1);
-    return {std::atan2(y.c0, x.c0), n0 * i, 0.5 * i * (n1 - n0 * d1 * i)};
-}
-
-// The camera models (binocal.cameras): parameters a = fx, fy, cx, cy, skew, coefficients.
-template <int D>
-struct Brown {
-    static constexpr int n_parameters = 5 + D;
-    BINOCAL_INLINE static void project(const Series* a, Series X, Series Y, Series Z, Series& u, Series& v) {
-        const Series i = inverse(Z), x = X * i, y = Y * i, x2 = x * x, y2 = y * y, two_xy = 2 * (x * y), r2 = x2 + y2;
-        Series power = a[5] + r2 * a[6];
-        if constexpr (D > 4) power = power + r2 * r2 * a[9];
-        Series factor = 1 + r2 * power;
-        if constexpr (D > 5) factor = factor * inverse(1 + r2 * (a[10] + r2 * (a[11] + r2 * a[12])));
-        const Series xd = x * factor + a[7] * two_xy + a[8] * (r2 + 2 * x2);
-        const Series yd = y * factor + a[7] * (r2 + 2 * y2) + a[8] * two_xy;
-        u = a[0] * xd + a[4] * yd + a[2];
-        v = a[1] * yd + a[3];
-    }
-};
-
-struct Fisheye {
-    static constexpr int n_parameters = 9;
-    BINOCAL_INLINE static void project(const Series* a, Series X, Series Y, Series Z, Series& u, Series& v) {
-        // on the axis the radius has no derivative; 1e-8 of the depth beside it the pixel is the same
-        const Series r = root(1e-16 * Z.c0 * Z.c0 + (X * X + Y * Y)), theta = angle_of(r, Z), t2 = theta * theta;
-        const Series theta_d = theta * (1 + t2 * (a[5] + t2 * (a[6] + t2 * (a[7] + t2 * a[8]))));
-        const Series share = theta_d * inverse(r), xd = X * share, yd = Y * share;
-        u = a[0] * xd + a[4] * yd + a[2];
-        v = a[1] * yd + a[3];
-    }
-};
 
 struct Task {
     std::size_t views_per_rig, n;
@@ -113,14 +60,14 @@ void path(const Task& task, std::size_t view, Vector X, bool is_point, Vector* c
     c[2] = {0.5 * c[2].x, 0.5 * c[2].y, 0.5 * c[2].z};
 }
 
-template <class Model, int lanes>
+template <class Model>
 BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
     const std::size_t n = task.n;
     const double *x = task.points, *y = x + n, *z = y + n;
     for (std::size_t view = first; view < last; ++view) {
         const std::size_t rig = view / task.views_per_rig;
         const double bend = task.bend[rig];
-        Series a[Model::n_parameters];
+        Series a[n_parameters_of<Model>];
         for (int i = 0; i < task.p; ++i) a[i] = {task.parameters[rig * task.p + i], task.parameter_step[rig * task.p + i], 0};
         Vector ex[3], ey[3], ez[3], origin[3];  // the path is affine in the point
         path(task, view, {1, 0, 0}, false, ex);
@@ -131,7 +78,7 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
         double *out_u = task.out + 2 * n * view, *out_v = out_u + n;
         BINOCAL_INDEPENDENT
         for (std::size_t j = 0; j < n; ++j) {
-            Series X, Y, Z, u, v;
+            Series X, Y, Z;
             X.c0 = ex[0].x * x[j] + ey[0].x * y[j] + ez[0].x * z[j] + origin[0].x;
             X.c1 = ex[1].x * x[j] + ey[1].x * y[j] + ez[1].x * z[j] + origin[1].x;
             X.c2 = ex[2].x * x[j] + ey[2].x * y[j] + ez[2].x * z[j] + origin[2].x;
@@ -141,25 +88,24 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
             Z.c0 = ex[0].z * x[j] + ey[0].z * y[j] + ez[0].z * z[j] + origin[0].z;
             Z.c1 = ex[1].z * x[j] + ey[1].z * y[j] + ez[1].z * z[j] + origin[1].z;
             Z.c2 = ex[2].z * x[j] + ey[2].z * y[j] + ez[2].z * z[j] + origin[2].z;
-            Model::project(a, X, Y, Z, u, v);
-            out_u[j] = pixel_u[j] - (u.c1 + bend * u.c2);
-            out_v[j] = pixel_v[j] - (v.c1 + bend * v.c2);
+            const Point2<Series, Series> at = project<Model>(a, X, Y, Z);
+            out_u[j] = pixel_u[j] - (at.x.c1 + bend * at.x.c2);
+            out_v[j] = pixel_v[j] - (at.y.c1 + bend * at.y.c2);
         }
     }
 }
 
-BINOCAL_DISPATCH(move_brown4, Task, (run_views<Brown<4>, lanes>(task, first, last)))
-BINOCAL_DISPATCH(move_brown5, Task, (run_views<Brown<5>, lanes>(task, first, last)))
-BINOCAL_DISPATCH(move_brown8, Task, (run_views<Brown<8>, lanes>(task, first, last)))
-BINOCAL_DISPATCH(move_fisheye4, Task, (run_views<Fisheye, lanes>(task, first, last)))
+#define BINOCAL_COPIES(name, Model) \
+    BINOCAL_DISPATCH(move_##name, Task, (static_cast<void>(lanes), run_views<Model>(task, first, last)))
+BINOCAL_CAMERA_MODELS(BINOCAL_COPIES)
 
 struct Entry {
     std::string_view name;
     int n_parameters;
     void (*run)(const Task&, std::size_t, std::size_t);
 };
-constexpr Entry kModels[] = {{"brown4", 9, move_brown4}, {"brown5", 10, move_brown5}, {"brown8", 13, move_brown8},
-                             {"fisheye4", 9, move_fisheye4}};
+#define BINOCAL_ENTRY(name, Model) {#name, n_parameters_of<Model>, move_##name},
+constexpr Entry kModels[] = {BINOCAL_CAMERA_MODELS(BINOCAL_ENTRY)};
 
 void pixels_behind(const std::string& name, const Doubles& parameters, const Doubles& parameter_step, const Doubles& R,
                    const Doubles& t, const Doubles& view_step, const Doubles& R_rig, const Doubles& t_rig,
