@@ -21,7 +21,7 @@ namespace binocal {
 namespace {
 
 constexpr double kHampelFlat = 3.5, kHampelDrop = 4.5, kHampelEnd = 7.0;  // binocal.solvers.robust
-constexpr int kMaxColumns = 20;  // brown8: 13 parameters, 6 pose columns, the residual
+constexpr int kMaxColumns = (kMaxParameters + 7 + 3) / 4 * 4;  // parameters, 6 pose columns, the residual, in whole blocks
 
 enum class Kernel { squared, cauchy, hampel };
 

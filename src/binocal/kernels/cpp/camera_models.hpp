@@ -7,6 +7,7 @@
 
 #include "dual.hpp"
 
+#include <algorithm>
 #include <cstddef>
 #include <utility>
 
@@ -90,6 +91,11 @@ constexpr int kIntrinsics = 5;
 template <class Model>
 constexpr int n_parameters_of = kIntrinsics + Model::n_coefficients;
 
+// The most that any model has.
+#define BINOCAL_COUNT(name, Model) n_parameters_of<Model>,
+constexpr int kMaxParameters = std::max({BINOCAL_CAMERA_MODELS(BINOCAL_COUNT)});
+#undef BINOCAL_COUNT
+
 // The pixel of a point, all scalars alike: double or Series.
 template <class Model, class Scalar>
 BINOCAL_INLINE Point2<Scalar, Scalar> project(const Scalar* a, Scalar X, Scalar Y, Scalar Z) {
@@ -111,6 +117,7 @@ template <class Model, bool Full>
 BINOCAL_INLINE Linearization<Model> linearize(const double* a, double X, double Y, double Z) {
     constexpr unsigned by_x = 1, by_y = 2, by_z = 4;
     constexpr int first = 3;  // the first coefficient's bit
+    static_assert(first + Model::n_coefficients <= kInner, "an unknown for each coefficient");
     return [&]<std::size_t... i>(std::index_sequence<i...>) BINOCAL_INLINE_LAMBDA {
         auto coefficient = [&]<std::size_t k>() BINOCAL_INLINE_LAMBDA {
             if constexpr (Full) {

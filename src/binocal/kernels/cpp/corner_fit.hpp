@@ -11,6 +11,7 @@
 #pragma once
 
 #include "cpu.hpp"
+#include "linear_algebra.hpp"
 
 #include <algorithm>
 #include <array>
@@ -156,35 +157,14 @@ inline void multiply(const Workspace& work, Equations& out) {
     portable::multiply(work, out);
 }
 
-// Cholesky factor of a symmetric matrix of size kParameters: lower triangle, the diagonal inverted; false where it is
-// not positive definite.
+// A step's equations are factorised; false where they are not positive definite.
 inline bool factorize(const double (&A)[kParameters][kParameters], double (&L)[kParameters][kParameters]) {
-    for (int i = 0; i < kParameters; ++i) {
-        for (int j = 0; j <= i; ++j) {
-            double s = A[i][j];
-            for (int k = 0; k < j; ++k) s -= L[i][k] * L[j][k];
-            if (i == j) {
-                if (!(s > 1e-12 * A[i][i])) return false;
-                L[i][i] = 1 / std::sqrt(s);
-            } else {
-                L[i][j] = s * L[j][j];
-            }
-        }
-    }
-    return true;
+    return cholesky(&A[0][0], &L[0][0], kParameters, kParameters, 1e-12);
 }
 
 inline void solve(const double (&L)[kParameters][kParameters], const double* b, double* x) {
-    for (int i = 0; i < kParameters; ++i) {
-        double s = b[i];
-        for (int k = 0; k < i; ++k) s -= L[i][k] * x[k];
-        x[i] = s * L[i][i];
-    }
-    for (int i = kParameters - 1; i >= 0; --i) {
-        double s = x[i];
-        for (int k = i + 1; k < kParameters; ++k) s -= L[k][i] * x[k];
-        x[i] = s * L[i][i];
-    }
+    solve_lower(&L[0][0], kParameters, kParameters, b, x);
+    solve_upper(&L[0][0], kParameters, kParameters, x);
 }
 
 // The information matrix, with weak priors on what small windows cannot tell: the two blurs' difference and the tone.

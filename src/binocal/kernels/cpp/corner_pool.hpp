@@ -53,41 +53,21 @@ class LeastSquares {
             b_[1][i] += weight * row[i] * y1;
         }
     }
-    bool factorize() {
-        for (int i = 0; i < n_; ++i) {
-            for (int j = 0; j <= i; ++j) {
-                double s = A_[i][j];
-                for (int k = 0; k < j; ++k) s -= L_[i][k] * L_[j][k];
-                if (i == j && !(s > 1e-13 * A_[i][i])) return false;
-                L_[i][j] = i == j ? std::sqrt(s) : s / L_[j][j];
-            }
-        }
-        return true;
-    }
+    bool factorize() { return cholesky(&A_[0][0], &L_[0][0], n_, kMost, 1e-13); }
     void solve(int side, double* x) const {
-        forward(b_[side], x);
-        for (int i = n_ - 1; i >= 0; --i) {
-            for (int k = i + 1; k < n_; ++k) x[i] -= L_[k][i] * x[k];
-            x[i] /= L_[i][i];
-        }
+        solve_lower(&L_[0][0], n_, kMost, b_[side], x);
+        solve_upper(&L_[0][0], n_, kMost, x);
     }
     // Variance of the fit at a row, for weights that are inverse variances.
     double variance(const double* row) const {
         double x[kMost], sum = 0;
-        forward(row, x);
+        solve_lower(&L_[0][0], n_, kMost, row, x);
         for (int i = 0; i < n_; ++i) sum += x[i] * x[i];
         return sum;
     }
 
   private:
     static constexpr int kMost = 15;
-    void forward(const double* b, double* x) const {
-        for (int i = 0; i < n_; ++i) {
-            x[i] = b[i];
-            for (int k = 0; k < i; ++k) x[i] -= L_[i][k] * x[k];
-            x[i] /= L_[i][i];
-        }
-    }
     int n_;
     double A_[kMost][kMost] = {}, L_[kMost][kMost] = {}, b_[2][kMost] = {};
 };

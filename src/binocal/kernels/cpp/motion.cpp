@@ -4,6 +4,7 @@
 
 #include "camera_models.hpp"
 #include "kernel.hpp"
+#include "linear_algebra.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -25,39 +26,29 @@ struct Task {
     double* out;
 };
 
-struct Vector {
-    double x, y, z;
-};
-Vector cross(Vector a, Vector b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
-Vector add(Vector a, Vector b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-Vector rotated(const double* R, Vector a) {
-    return {R[0] * a.x + R[1] * a.y + R[2] * a.z, R[3] * a.x + R[4] * a.y + R[5] * a.z, R[6] * a.x + R[7] * a.y + R[8] * a.z};
-}
-
 // The series of one board-frame vector's image in the camera; is_point: translations count too.
-void path(const Task& task, std::size_t view, Vector X, bool is_point, Vector* c) {
+void path(const Task& task, std::size_t view, Vector3 X, bool is_point, Vector3* c) {
     const double* xi = task.view_step + 6 * view;
-    const double* t = task.t + 3 * view;
-    const Vector w{xi[0], xi[1], xi[2]};
-    c[0] = rotated(task.R + 9 * view, X);
-    if (is_point) c[0] = add(c[0], {t[0], t[1], t[2]});
+    const Vector3 w = vector3(xi);
+    c[0] = product3(task.R + 9 * view, X);
+    if (is_point) c[0] = c[0] + vector3(task.t + 3 * view);
     c[1] = cross(w, c[0]);
     c[2] = cross(w, c[1]);  // (exp(s w) x)'' = w x (w x x)
-    if (is_point) c[1] = add(c[1], {xi[3], xi[4], xi[5]});
+    if (is_point) c[1] = c[1] + vector3(xi + 3);
     if (task.R_rig) {
         const std::size_t rig = view / task.views_per_rig;
-        const double *R = task.R_rig + 9 * rig, *t_rig = task.t_rig + 3 * rig, *eta = task.rig_step + 6 * rig;
-        const Vector a{eta[0], eta[1], eta[2]};
-        Vector y0 = rotated(R, c[0]);
-        const Vector y1 = rotated(R, c[1]), y2 = rotated(R, c[2]);
-        if (is_point) y0 = add(y0, {t_rig[0], t_rig[1], t_rig[2]});
-        const Vector turned = cross(a, y0), mixed = cross(a, y1);
+        const double *R = task.R_rig + 9 * rig, *eta = task.rig_step + 6 * rig;
+        const Vector3 a = vector3(eta);
+        Vector3 y0 = product3(R, c[0]);
+        const Vector3 y1 = product3(R, c[1]), y2 = product3(R, c[2]);
+        if (is_point) y0 = y0 + vector3(task.t_rig + 3 * rig);
+        const Vector3 turned = cross(a, y0), mixed = cross(a, y1);
         c[0] = y0;
-        c[1] = add(turned, y1);
-        c[2] = add(add(cross(a, turned), y2), add(mixed, mixed));
-        if (is_point) c[1] = add(c[1], {eta[3], eta[4], eta[5]});
+        c[1] = turned + y1;
+        c[2] = (cross(a, turned) + y2) + (mixed + mixed);
+        if (is_point) c[1] = c[1] + vector3(eta + 3);
     }
-    c[2] = {0.5 * c[2].x, 0.5 * c[2].y, 0.5 * c[2].z};
+    c[2] = 0.5 * c[2];
 }
 
 template <class Model>
@@ -69,7 +60,7 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
         const double bend = task.bend[rig];
         Series a[n_parameters_of<Model>];
         for (int i = 0; i < task.p; ++i) a[i] = {task.parameters[rig * task.p + i], task.parameter_step[rig * task.p + i], 0};
-        Vector ex[3], ey[3], ez[3], origin[3];  // the path is affine in the point
+        Vector3 ex[3], ey[3], ez[3], origin[3];  // the path is affine in the point
         path(task, view, {1, 0, 0}, false, ex);
         path(task, view, {0, 1, 0}, false, ey);
         path(task, view, {0, 0, 1}, false, ez);

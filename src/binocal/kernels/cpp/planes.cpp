@@ -2,6 +2,7 @@
 
 #include "gram.hpp"
 #include "kernel.hpp"
+#include "linear_algebra.hpp"
 
 #include <algorithm>
 #include <stdexcept>
@@ -29,12 +30,8 @@ BINOCAL_INLINE void solve_moments(const double* moments, double* rows, double* S
         std::copy(&full[0][0], &full[0][0] + 9, &S[k][0][0]);
     }
     const auto& A = S[0];
-    const double a = A[0][0], b = A[0][1], c = A[0][2], d = A[1][1], e = A[1][2], f = A[2][2];
     double* I = S_inverse;
-    I[0] = d * f - e * e, I[1] = I[3] = c * e - b * f, I[2] = I[6] = b * e - c * d;
-    I[4] = a * f - c * c, I[5] = I[7] = b * c - a * e, I[8] = a * d - b * b;
-    const double determinant = a * I[0] + b * I[1] + c * I[2];
-    for (int i = 0; i < 9; ++i) I[i] /= determinant;
+    inverse_symmetric3(A[0][0], A[0][1], A[0][2], A[1][1], A[1][2], A[2][2], I);
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 6; ++j) {
             const auto& of = S[j < 3 ? 1 : 2];

@@ -1,6 +1,7 @@
 // Board poses: the left step of many rigid transforms, and their composition with a rig.
 
 #include "kernel.hpp"
+#include "linear_algebra.hpp"
 
 #include <cmath>
 #include <stdexcept>
@@ -8,14 +9,10 @@
 namespace binocal {
 namespace {
 
-void multiply(const double* A, const double* B, double* out) {
-    for (int i = 0; i < 3; ++i) {
-        for (int k = 0; k < 3; ++k) out[3 * i + k] = A[3 * i] * B[k] + A[3 * i + 1] * B[3 + k] + A[3 * i + 2] * B[6 + k];
-    }
-}
-
-void rotate(const double* R, const double* x, double* out) {
-    for (int i = 0; i < 3; ++i) out[i] = R[3 * i] * x[0] + R[3 * i + 1] * x[1] + R[3 * i + 2] * x[2];
+// out = R x + shift
+void move(const double* R, const double* x, const double* shift, double* out) {
+    const Vector3 y = product3(R, vector3(x)) + vector3(shift);
+    out[0] = y.x, out[1] = y.y, out[2] = y.z;
 }
 
 // Rodrigues' formula; Taylor series below 1e-4 rad, where its next term is below 1e-18.
@@ -26,7 +23,7 @@ void exponential(const double* w, double* R) {
     const double b = is_small ? 0.5 - theta2 / 24 : (1 - std::cos(theta)) / theta2;
     const double W[9] = {0, -w[2], w[1], w[2], 0, -w[0], -w[1], w[0], 0};
     double W2[9];
-    multiply(W, W, W2);
+    product3(W, W, W2);
     for (int i = 0; i < 9; ++i) R[i] = (i % 4 == 0) + a * W[i] + b * W2[i];
 }
 
@@ -39,9 +36,8 @@ void step_poses(const Doubles& R, const Doubles& t, const Doubles& xi, DoublesOu
     for (std::size_t i = 0; i < n; ++i) {
         double turn[9];
         exponential(xi.data() + 6 * i, turn);
-        multiply(turn, R.data() + 9 * i, R_out.data() + 9 * i);
-        rotate(turn, t.data() + 3 * i, t_out.data() + 3 * i);
-        for (int k = 0; k < 3; ++k) t_out.data()[3 * i + k] += xi.data()[6 * i + 3 + k];
+        product3(turn, R.data() + 9 * i, R_out.data() + 9 * i);
+        move(turn, t.data() + 3 * i, xi.data() + 6 * i + 3, t_out.data() + 3 * i);
     }
 }
 
@@ -54,9 +50,8 @@ void compose_poses(const Doubles& R_rig, const Doubles& t_rig, const Doubles& R,
     nb::gil_scoped_release unlocked;
     for (std::size_t i = 0; i < n; ++i) {
         const std::size_t rig = i / (n / n_rigs);
-        multiply(R_rig.data() + 9 * rig, R.data() + 9 * i, R_out.data() + 9 * i);
-        rotate(R_rig.data() + 9 * rig, t.data() + 3 * i, t_out.data() + 3 * i);
-        for (int k = 0; k < 3; ++k) t_out.data()[3 * i + k] += t_rig.data()[3 * rig + k];
+        product3(R_rig.data() + 9 * rig, R.data() + 9 * i, R_out.data() + 9 * i);
+        move(R_rig.data() + 9 * rig, t.data() + 3 * i, t_rig.data() + 3 * rig, t_out.data() + 3 * i);
     }
 }
 

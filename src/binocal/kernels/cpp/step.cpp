@@ -1,8 +1,10 @@
 // The step of the joint solver: normal equations of a rig from those of its views, board poses eliminated
 // (binocal.kernels says what the arrays mean). Rigs are independent; each is summed in one fixed order.
 
+#include "camera_models.hpp"
 #include "gram.hpp"
 #include "kernel.hpp"
+#include "linear_algebra.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -14,9 +16,9 @@ namespace binocal {
 namespace {
 
 constexpr double kTiny = 1e-300;
-constexpr int kMaxGram = 20 * 20;  // brown8: 13 parameters, 6 pose columns, the residual
-constexpr int kMaxShared = 32;  // two brown8 cameras with skew, and the rig
-constexpr int kMaxColumns = 40;  // those and the gradient, in whole vectors
+constexpr int kMaxGram = (kMaxParameters + 7) * (kMaxParameters + 7);  // parameters, 6 pose columns, the residual
+constexpr int kMaxShared = 2 * kMaxParameters + 6;                   // two cameras and the rig
+constexpr int kMaxColumns = (kMaxShared + 1 + kRun - 1) / kRun * kRun;  // those and the gradient, in whole vectors
 
 struct CameraPart {
     const double* gram;       // (rigs, views, q, q), q = p + 7
@@ -38,62 +40,6 @@ struct Problem {
     double* reduced;                      // (rigs, s, s), or null
     double *gradient, *pivot;             // (rigs, s), (rigs): reduced gradient, least pivot of its equilibrated matrix; or null
 };
-
-// In place: rows (a, b) of x become Adᵀ x with Ad = [[R, 0], [hat(t) R, R]].
-BINOCAL_INLINE void adjoint_transposed(const double* R, const double* t, double* x) {
-    const double a0 = x[0] - (t[1] * x[5] - t[2] * x[4]), a1 = x[1] - (t[2] * x[3] - t[0] * x[5]),
-                 a2 = x[2] - (t[0] * x[4] - t[1] * x[3]), b0 = x[3], b1 = x[4], b2 = x[5];
-    for (int i = 0; i < 3; ++i) {
-        x[i] = R[i] * a0 + R[3 + i] * a1 + R[6 + i] * a2;
-        x[3 + i] = R[i] * b0 + R[3 + i] * b1 + R[6 + i] * b2;
-    }
-}
-
-// x = A⁻¹ b by elimination with partial pivoting; false where A is singular. A and x (b at first) are overwritten.
-BINOCAL_INLINE bool solve(double* A, double* x, int n, double& least_pivot) {
-    least_pivot = std::numeric_limits<double>::infinity();
-    for (int column = 0; column < n; ++column) {
-        int pivot = column;
-        for (int row = column + 1; row < n; ++row) {
-            if (std::abs(A[row * n + column]) > std::abs(A[pivot * n + column])) pivot = row;
-        }
-        if (!(std::abs(A[pivot * n + column]) > 0)) return false;
-        least_pivot = std::min(least_pivot, std::abs(A[pivot * n + column]));
-        if (pivot != column) {
-            for (int k = column; k < n; ++k) std::swap(A[pivot * n + k], A[column * n + k]);
-            std::swap(x[pivot], x[column]);
-        }
-        const double inverse = 1 / A[column * n + column];
-        for (int row = column + 1; row < n; ++row) {
-            const double factor = A[row * n + column] * inverse;
-            if (factor == 0) continue;
-            for (int k = column + 1; k < n; ++k) A[row * n + k] -= factor * A[column * n + k];
-            x[row] -= factor * x[column];
-        }
-    }
-    for (int row = n - 1; row >= 0; --row) {
-        for (int k = row + 1; k < n; ++k) x[row] -= A[row * n + k] * x[k];
-        x[row] /= A[row * n + row];
-    }
-    return true;
-}
-
-// Lower Cholesky factor in place, rows of 6; false where a pivot is not positive.
-BINOCAL_INLINE bool cholesky6(double* A) {
-    for (int i = 0; i < 6; ++i) {
-        for (int j = 0; j <= i; ++j) {
-            double sum = A[6 * i + j];
-            for (int k = 0; k < j; ++k) sum -= A[6 * i + k] * A[6 * j + k];
-            if (i == j) {
-                if (!(sum > 0)) return false;
-                A[6 * i + i] = std::sqrt(sum);
-            } else {
-                A[6 * i + j] = sum / A[6 * j + j];
-            }
-        }
-    }
-    return true;
-}
 
 struct Workspace {
     std::size_t stride;
@@ -166,7 +112,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
         for (int i = 0; i < 6; ++i) {
             for (int k = 0; k < 6; ++k) A[6 * i + k] *= scale[i] * scale[k];
         }
-        if (!cholesky6(A)) {  // the corners that carry weight do not hold the pose: the same
+        if (!cholesky(A, A, 6, 6, 0.0)) {  // the corners that carry weight do not hold the pose: the same
             for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
                 const int q = problem.cameras[index].p + 7;
                 const double* G = problem.cameras[index].gram + (rig * n_views + view) * q * q;
@@ -181,7 +127,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
             ++n_loose;
         }
         for (int i = 0; i < 6; ++i) {  // Y = L⁻¹ S [W, gradient], in place, all columns at once
-            const double inverse_pivot = 1 / A[7 * i];
+            const double inverse_pivot = A[7 * i];
             double* row = W[i];
             for (int column = 0; column <= s; ++column) row[column] *= scale[i];
             for (int k = 0; k < i; ++k) {
@@ -228,7 +174,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
     const bool is_altered = problem.stretch || problem.shift;
     if (is_altered) plain = A, right_side = x;
     double least_pivot;
-    if (!solve(A.data(), x.data(), s, least_pivot)) return false;
+    if (!eliminate(A.data(), x.data(), s, least_pivot)) return false;
     if (problem.pivot) problem.pivot[rig] = least_pivot;
     double unsolved = 0;  // step times what it leaves of the gradient
     if (is_altered) {
@@ -257,10 +203,7 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
     for (std::size_t view = 0; view < n_views; ++view) {
         const double *L = w.L.data() + 36 * view, *view_scale = w.scale.data() + 6 * view;
         double* xi = views + 6 * view;
-        for (int i = 5; i >= 0; --i) {
-            for (int k = i + 1; k < 6; ++k) xi[i] -= L[6 * k + i] * xi[k];
-            xi[i] /= L[7 * i];
-        }
+        solve_upper(L, 6, 6, xi);
         for (int i = 0; i < 6; ++i) {
             xi[i] *= view_scale[i];
             linear += xi[i] * w.gradients[6 * view + i];
