@@ -13,13 +13,14 @@ using Image = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_conti
 
 template <typename Pixel>
 void fit(const Image<Pixel>& image, const Doubles& inputs, DoublesOut results) {
-    const std::size_t n = inputs.size() / 4;
-    if (inputs.size() != 4 * n || results.size() != kResultSize * n)
+    const std::size_t n = inputs.size() / kInputSize;
+    if (inputs.size() != kInputSize * n || results.size() != kResultSize * n)
         throw nb::value_error("inputs must be (n, 4) and results (n, 24)");
     const Pixel* pixels = image.data();
     const auto height = static_cast<std::ptrdiff_t>(image.shape(0)), width = static_cast<std::ptrdiff_t>(image.shape(1));
     nb::gil_scoped_release unlocked;
-    fit_corners(pixels, height, width, inputs.data(), static_cast<std::ptrdiff_t>(n), results.data());
+    fit_corners(pixels, height, width, reinterpret_cast<const CornerInput*>(inputs.data()), static_cast<std::ptrdiff_t>(n),
+                reinterpret_cast<CornerResult*>(results.data()));
 }
 
 double pool(const Doubles& fits, const Doubles& board_xy, DoublesOut pooled) {

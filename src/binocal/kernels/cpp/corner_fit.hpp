@@ -60,6 +60,7 @@ struct CornerResult {
     double n_evaluations;
 };
 constexpr int kResultSize = 24;
+static_assert(sizeof(CornerResult) == kResultSize * sizeof(double));
 
 // Gauss-Legendre nodes and weights on [0, 1].
 struct Quadrature {
@@ -282,159 +283,231 @@ struct CornerInput {
     double reach;  // px to the nearest edge that is not the corner's own
     double strip;  // px from the corner's own edges to what is printed inside the squares; infinite if nothing is
 };
+constexpr int kInputSize = 4;
+static_assert(sizeof(CornerInput) == kInputSize * sizeof(double));
 
+// One corner's fit: damped least squares on a disc that grows and shrinks with what is found.
 template <typename Pixel>
-CornerResult fit_corner(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput& input,
-                        Workspace& work) {
-    constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-    CornerResult failed;
-    std::fill_n(reinterpret_cast<double*>(&failed), kResultSize, nan);
-    if (!(std::isfinite(input.x) && std::isfinite(input.y) && input.reach > 0 && input.strip > 0)) return failed;
+class CornerFitter {
+  public:
+    CornerFitter(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput& input, Workspace& work)
+        : image_(image), height_(height), width_(width), input_(input), work_(work),
+          is_large_(0.85 * input.reach > 1.4 * kFirstRadius),
+          greatest_(is_large_ ? kFirstRadius : kMaxRadius),  // a small disc until the corner is nearly there costs half or less
+          farthest_(std::max(1.5, 0.5 * input.reach)) {}
 
-    auto room = [&](double x, double y) {  // the disc and its soft edge stay inside the image
-        return std::min(std::min(x, width - 1 - x), std::min(y, height - 1 - y)) - 1.9;
+    // All NaN where there is no corner.
+    CornerResult fit() {
+        CornerResult result;
+        if (begin()) {
+            Progress progress = Progress::running;
+            while (progress == Progress::running && n_evaluations_ < kMaxEvaluations) progress = iterate();
+            if (progress == Progress::done && is_a_corner() && describe(result)) return result;
+        }
+        std::fill_n(reinterpret_cast<double*>(&result), kResultSize, std::numeric_limits<double>::quiet_NaN());
+        return result;
+    }
+
+  private:
+    enum class Progress { running, done, failed };
+
+    struct Step {
+        double change[kParameters], next[kParameters];
+        double shrink;     // the share of `change` that is made
+        double moved;      // px, of the corner
+        double decrement;  // of the whole change: gradient times change
+        // The blurs change by less than that, or stand at their bound.
+        bool blurs_hold(double limit) const {
+            return (std::fabs(change[kBlur1]) < limit || next[kBlur1] == kLeastLogBlur) &&
+                   (std::fabs(change[kBlur2]) < limit || next[kBlur2] == kLeastLogBlur);
+        }
     };
-    const bool is_large = 0.85 * input.reach > 1.4 * kFirstRadius;
-    double greatest = is_large ? kFirstRadius : kMaxRadius;  // a small disc until the corner is nearly there costs half or less
-    auto region_of = [&](double x, double y, double blur) {
-        double radius = std::min({greatest, 0.85 * input.reach, input.reach - 2 * blur});
-        double strip = std::max(input.strip - 2 * blur, 1.0);
+
+    // How far the disc and its soft edge may reach inside the image.
+    double room(double x, double y) const { return std::min(std::min(x, width_ - 1 - x), std::min(y, height_ - 1 - y)) - 1.9; }
+
+    Region region_of(double x, double y, double blur) const {
+        double radius = std::min({greatest_, 0.85 * input_.reach, input_.reach - 2 * blur});
+        double strip = std::max(input_.strip - 2 * blur, 1.0);
         return Region{std::min(std::max(radius, kMinRadius), room(x, y)), strip};
-    };
-    Region region = region_of(input.x, input.y, 1.0);
-    if (!(region.radius >= kMinRadius)) return failed;
-    double p[kParameters], offset = 0, contrast = 0;
-    double ring = std::min(region.radius, std::max(kMinRadius, 1.8 * input.strip));
-    if (!start(image, width, input.x, input.y, ring, p, offset, contrast)) return failed;
+    }
 
-    auto evaluate = [&](const double* at, Equations& e) {
-        const Patch& patch = work.patch;
-        if (patch.radius != region.radius || std::hypot(at[kX] - patch.x, at[kY] - patch.y) > kSlack)
-            gather(image, width, at[kX], at[kY], region.radius, 1 / contrast, work.patch);
-        linearize(work, at, region);
-        multiply(work, e);
-        return e.gram[kParameters][kParameters] / std::max(e.weight_sum, 1e-9);
-    };
-    const double most = std::max(1.5, 0.5 * input.reach);
-    Equations current, trial;
-    work.patch.radius = 0;  // holds another corner
-    double cost = evaluate(p, current), damping = 1e-3;
-    bool is_done = false, is_linearized_here = true;  // the Jacobian in the workspace is that of p
-    int n_evaluations = 1;
-    double last_moved = std::numeric_limits<double>::infinity();
-    while (!is_done && n_evaluations < kMaxEvaluations) {
-        double A[kParameters][kParameters], L[kParameters][kParameters];
-        double gradient[kParameters], step[kParameters], next[kParameters];
-        information(current, p, cost, A, gradient);
-        for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping;
-        if (!factorize(A, L)) {
-            damping = std::max(10 * damping, 1e-3);
-            if (damping > 1e6) return failed;
-            continue;
+    // Region, first parameters and their cost; false where the ring around the start shows no saddle.
+    bool begin() {
+        if (!(std::isfinite(input_.x) && std::isfinite(input_.y) && input_.reach > 0 && input_.strip > 0)) return false;
+        region_ = region_of(input_.x, input_.y, 1.0);
+        if (!(region_.radius >= kMinRadius)) return false;
+        double offset = 0;
+        const double ring = std::min(region_.radius, std::max(kMinRadius, 1.8 * input_.strip));
+        if (!start(image_, width_, input_.x, input_.y, ring, p_, offset, contrast_)) return false;
+        work_.patch.radius = 0;  // holds another corner
+        cost_ = evaluate(p_, current_);
+        n_evaluations_ = 1;
+        return true;
+    }
+
+    // Equations at these parameters, and the residuals' weighted mean square.
+    BINOCAL_INLINE double evaluate(const double* at, Equations& equations) {
+        const Patch& patch = work_.patch;
+        if (patch.radius != region_.radius || std::hypot(at[kX] - patch.x, at[kY] - patch.y) > kSlack)
+            gather(image_, width_, at[kX], at[kY], region_.radius, 1 / contrast_, work_.patch);
+        linearize(work_, at, region_);
+        multiply(work_, equations);
+        return equations.gram[kParameters][kParameters] / std::max(equations.weight_sum, 1e-9);
+    }
+
+    BINOCAL_INLINE Progress iterate() {
+        Step step;
+        if (!propose(step)) return damp(1e-3, 1e6);
+        if (!stays(step.next)) return Progress::failed;
+        const bool may_end = greatest_ == kMaxRadius && step.shrink == 1 && damping_ < 0.1;
+        if (is_large_ && may_end && is_short(step) && is_linearized_here_ && step.blurs_hold(0.01)) {
+            end_unseen(step);
+            return Progress::done;
         }
-        solve(L, gradient, step);
-        double shrink = 1;  // one step moves the corner by less than a third of the disc, turns by 0.4 rad, blurs by e^0.7
-        shrink = std::min(shrink, std::max(1.0, region.radius / 3) / std::max(1e-9, std::hypot(step[kX], step[kY])));
-        for (int i : {kAngle1, kAngle2}) shrink = std::min(shrink, 0.4 / std::max(1e-9, std::fabs(step[i])));
-        for (int i : {kBlur1, kBlur2}) shrink = std::min(shrink, 0.7 / std::max(1e-9, std::fabs(step[i])));
-        for (int i = 0; i < kParameters; ++i) next[i] = p[i] + shrink * step[i];
-        for (int i : {kBlur1, kBlur2}) next[i] = std::max(next[i], kLeastLogBlur);
-        next[kTone] = std::min(0.45, std::max(-0.45, next[kTone]));
-        if (std::hypot(next[kX] - input.x, next[kY] - input.y) > most || room(next[kX], next[kY]) < region.radius) {
-            if (room(next[kX], next[kY]) < region.radius && room(next[kX], next[kY]) >= kMinRadius)
-                region.radius = room(next[kX], next[kY]);
-            else
-                return failed;
-        }
-        double moved = shrink * std::hypot(step[kX], step[kY]), decrement = 0;
-        for (int i = 0; i < kParameters; ++i) decrement += gradient[i] * step[i];
-        auto blurs_hold = [&](double limit) {
-            return (std::fabs(step[kBlur1]) < limit || next[kBlur1] == kLeastLogBlur) &&
-                   (std::fabs(step[kBlur2]) < limit || next[kBlur2] == kLeastLogBlur);
-        };
-        const bool may_end = greatest == kMaxRadius && shrink == 1 && damping < 0.1;
-        const bool is_short = moved < kLastStepUnseen || (moved < kLastStepAtMost && moved < kLastStepShrinks * last_moved &&
-                                                          decrement < kLastStepOfSigma * kLastStepOfSigma * cost);
-        if (is_large && may_end && is_short && is_linearized_here && blurs_hold(0.01)) {
-            for (int i = 0; i < kParameters; ++i) step[i] = next[i] - p[i];
-            subtract(work, step);
-            std::copy(next, next + kParameters, p);
-            cost = std::max(cost - decrement / current.weight_sum, 0.0);
-            is_done = true;
-            break;
-        }
-        double next_cost = evaluate(next, trial);
-        ++n_evaluations;
-        is_linearized_here = false;
+        const double cost = evaluate(step.next, trial_);
+        ++n_evaluations_;
+        is_linearized_here_ = false;
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
-        if (next_cost <= cost * (1 + 1e-6) || (moved < 0.05 && next_cost < cost * (1 + 3e-3))) {
-            is_linearized_here = true;
-            last_moved = moved;
-            is_done = may_end && moved < kLastStep && blurs_hold(is_large ? 0.02 : 0.05);
-            std::copy(next, next + kParameters, p);
-            current = trial;
-            cost = next_cost;
-            damping = std::max(damping * 0.1, 1e-6);
-            if (!is_done && (moved < 0.3 || n_evaluations > 3)) greatest = kMaxRadius;
-            if (!is_done && n_evaluations < (is_large ? 8 : 6)) {  // the disc follows the blur that is found, then stays
-                Region wanted = region_of(p[kX], p[kY], std::exp(std::max(p[kBlur1], p[kBlur2])));
-                if (!(wanted.radius >= kMinRadius)) return failed;
-                if (std::fabs(wanted.radius - region.radius) > 0.3 || std::fabs(wanted.strip - region.strip) > 0.3) {
-                    region = wanted;
-                    cost = evaluate(p, current);
-                    ++n_evaluations;
-                }
-            }
-        } else {
-            damping = std::max(10 * damping, 1e-2);
-            if (damping > 1e7) return failed;
-        }
+        if (!(cost <= cost_ * (1 + 1e-6) || (step.moved < 0.05 && cost < cost_ * (1 + 3e-3)))) return damp(1e-2, 1e7);
+        accept(step, cost);
+        if (may_end && step.moved < kLastStep && step.blurs_hold(is_large_ ? 0.02 : 0.05)) return Progress::done;
+        return follow(step.moved) ? Progress::running : Progress::failed;
     }
-    if (!is_done) return failed;
-    double blur1 = std::exp(p[kBlur1]), blur2 = std::exp(p[kBlur2]);
-    double skew = std::fabs(std::sin(p[kAngle1] - p[kAngle2]));
-    if (!(std::fabs(p[kContrast]) > 0.2) || skew < 0.17 || std::max(blur1, blur2) > region.radius + 0.5)
-        return failed;
 
-    double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
-    information(current, p, cost, A, gradient);
-    if (!factorize(A, L)) return failed;
-    constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
-    for (int i = 0; i < 4; ++i) {
-        double unit[kParameters] = {};
-        unit[shown[i]] = 1;
-        solve(L, unit, inverse[i]);
+    // The damped step, shortened where it would be wild; false where its equations are singular.
+    BINOCAL_INLINE bool propose(Step& step) const {
+        double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters];
+        information(current_, p_, cost_, A, gradient);
+        for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping_;
+        if (!factorize(A, L)) return false;
+        double* change = step.change;
+        solve(L, gradient, change);
+        const double length = std::hypot(change[kX], change[kY]);
+        double shrink = 1;  // one step moves the corner by less than a third of the disc, turns by 0.4 rad, blurs by e^0.7
+        shrink = std::min(shrink, std::max(1.0, region_.radius / 3) / std::max(1e-9, length));
+        for (int i : {kAngle1, kAngle2}) shrink = std::min(shrink, 0.4 / std::max(1e-9, std::fabs(change[i])));
+        for (int i : {kBlur1, kBlur2}) shrink = std::min(shrink, 0.7 / std::max(1e-9, std::fabs(change[i])));
+        for (int i = 0; i < kParameters; ++i) step.next[i] = p_[i] + shrink * change[i];
+        for (int i : {kBlur1, kBlur2}) step.next[i] = std::max(step.next[i], kLeastLogBlur);
+        step.next[kTone] = std::min(0.45, std::max(-0.45, step.next[kTone]));
+        step.shrink = shrink;
+        step.moved = shrink * length;
+        step.decrement = 0;
+        for (int i = 0; i < kParameters; ++i) step.decrement += gradient[i] * change[i];
+        return true;
     }
-    double unit = contrast * contrast;
-    CornerResult r;
-    r.x = p[kX];
-    r.y = p[kY];
-    r.gx = p[kSlopeX];
-    r.gy = p[kSlopeY];
-    for (int i = 0, k = 0; i < 4; ++i)
-        for (int j = i; j < 4; ++j) r.covariance[k++] = inverse[i][shown[j]] / unit;
-    r.variance = cost * current.weight_sum / std::max(1.0, current.weight_sum - kParameters) * unit;
-    r.odd_variance = odd_variance(work, p, r.variance / unit) * unit;
-    r.contrast = p[kContrast] * contrast;
-    r.blur1 = blur1;
-    r.blur2 = blur2;
-    r.angle1 = p[kAngle1];
-    r.angle2 = p[kAngle2];
-    r.radius = region.radius;
-    r.n_pixels = current.weight_sum;
-    r.n_evaluations = n_evaluations;
-    return r;
-}
+
+    // Whether the corner stays near its start and in the image, if need be with a smaller disc.
+    bool stays(const double* next) {
+        const double left = room(next[kX], next[kY]);
+        if (left < region_.radius) {
+            if (!(left >= kMinRadius)) return false;
+            region_.radius = left;
+            return true;
+        }
+        return !(std::hypot(next[kX] - input_.x, next[kY] - input_.y) > farthest_);
+    }
+
+    // So short that nothing would be seen by evaluating it.
+    bool is_short(const Step& step) const {
+        return step.moved < kLastStepUnseen || (step.moved < kLastStepAtMost && step.moved < kLastStepShrinks * last_moved_ &&
+                                                step.decrement < kLastStepOfSigma * kLastStepOfSigma * cost_);
+    }
+
+    // The last step, its residuals as the Jacobian predicts them.
+    void end_unseen(Step& step) {
+        for (int i = 0; i < kParameters; ++i) step.change[i] = step.next[i] - p_[i];
+        subtract(work_, step.change);
+        std::copy(step.next, step.next + kParameters, p_);
+        cost_ = std::max(cost_ - step.decrement / current_.weight_sum, 0.0);
+    }
+
+    Progress damp(double least, double most) {
+        damping_ = std::max(10 * damping_, least);
+        return damping_ > most ? Progress::failed : Progress::running;
+    }
+
+    void accept(const Step& step, double cost) {
+        is_linearized_here_ = true;
+        last_moved_ = step.moved;
+        std::copy(step.next, step.next + kParameters, p_);
+        current_ = trial_;
+        cost_ = cost;
+        damping_ = std::max(damping_ * 0.1, 1e-6);
+    }
+
+    // The disc follows the blur that is found, then stays; false where there is no room for one.
+    bool follow(double moved) {
+        if (moved < 0.3 || n_evaluations_ > 3) greatest_ = kMaxRadius;
+        if (n_evaluations_ >= (is_large_ ? 8 : 6)) return true;
+        const Region wanted = region_of(p_[kX], p_[kY], std::exp(std::max(p_[kBlur1], p_[kBlur2])));
+        if (!(wanted.radius >= kMinRadius)) return false;
+        if (std::fabs(wanted.radius - region_.radius) > 0.3 || std::fabs(wanted.strip - region_.strip) > 0.3) {
+            region_ = wanted;
+            cost_ = evaluate(p_, current_);
+            ++n_evaluations_;
+        }
+        return true;
+    }
+
+    // Contrast, the edges' angle and their blur are those of a corner.
+    bool is_a_corner() const {
+        const double skew = std::fabs(std::sin(p_[kAngle1] - p_[kAngle2]));
+        return std::fabs(p_[kContrast]) > 0.2 && !(skew < 0.17) &&
+               !(std::exp(std::max(p_[kBlur1], p_[kBlur2])) > region_.radius + 0.5);
+    }
+
+    // What is written of the fit; false where its information is singular.
+    bool describe(CornerResult& r) const {
+        double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
+        information(current_, p_, cost_, A, gradient);
+        if (!factorize(A, L)) return false;
+        constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
+        for (int i = 0; i < 4; ++i) {
+            double unit[kParameters] = {};
+            unit[shown[i]] = 1;
+            solve(L, unit, inverse[i]);
+        }
+        const double unit = contrast_ * contrast_;  // grey levels^2
+        r.x = p_[kX], r.y = p_[kY];
+        r.gx = p_[kSlopeX], r.gy = p_[kSlopeY];
+        for (int i = 0, k = 0; i < 4; ++i)
+            for (int j = i; j < 4; ++j) r.covariance[k++] = inverse[i][shown[j]] / unit;
+        r.variance = cost_ * current_.weight_sum / std::max(1.0, current_.weight_sum - kParameters) * unit;
+        r.odd_variance = odd_variance(work_, p_, r.variance / unit) * unit;
+        r.contrast = p_[kContrast] * contrast_;
+        r.blur1 = std::exp(p_[kBlur1]), r.blur2 = std::exp(p_[kBlur2]);
+        r.angle1 = p_[kAngle1], r.angle2 = p_[kAngle2];
+        r.radius = region_.radius;
+        r.n_pixels = current_.weight_sum;
+        r.n_evaluations = n_evaluations_;
+        return true;
+    }
+
+    const Pixel* image_;
+    std::ptrdiff_t height_, width_;
+    CornerInput input_;
+    Workspace& work_;
+    bool is_large_;
+    double greatest_;   // px, of the disc's radius
+    double farthest_;   // px, from the start
+    Region region_{};
+    double p_[kParameters]{};
+    double contrast_ = 0;  // of the start, grey levels: the unit of values and costs
+    Equations current_, trial_;
+    double cost_ = 0, damping_ = 1e-3;
+    double last_moved_ = std::numeric_limits<double>::infinity();
+    bool is_linearized_here_ = true;  // the Jacobian in the workspace is that of p
+    int n_evaluations_ = 0;
+};
 
 template <typename Pixel>
-void fit_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const double* inputs, std::ptrdiff_t n,
-                 double* results) {
+void fit_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput* inputs, std::ptrdiff_t n,
+                 CornerResult* results) {
     alignas(32) static thread_local Workspace work;
-    static_assert(sizeof(CornerResult) == kResultSize * sizeof(double));
     for (std::ptrdiff_t i = 0; i < n; ++i) {
-        CornerInput input{inputs[4 * i], inputs[4 * i + 1], inputs[4 * i + 2], inputs[4 * i + 3]};
-        CornerResult result = fit_corner(image, height, width, input, work);
-        std::memcpy(results + kResultSize * i, &result, sizeof(result));
+        results[i] = CornerFitter<Pixel>(image, height, width, inputs[i], work).fit();
     }
 }
 
