@@ -228,7 +228,7 @@ def fit_corners(f: Fuzz) -> None:
 
 def pool_corners(f: Fuzz) -> None:
     n = f.size(12)
-    fits = corner_fits.CornerFits(f.floats(n, _kernel.CORNER_RESULT_SIZE, scale=5.0).view(corner_fits.CORNER_FIT)[:, 0])
+    fits = corner_fits.CornerFits(f.floats(n, corner_fits.CORNER_FIT.itemsize // 8, scale=5.0).view(corner_fits.CORNER_FIT)[:, 0])
     corner_fits.pool_corners(fits, f.floats(n, 2) if f.rng.random() < 0.5 else None)
 
 

@@ -46,7 +46,7 @@ def test_pooling_is_the_plain_statement(size, has_places):
 
 
 @pytest.mark.parametrize("size", [(11, 8), (7, 5), (5, 4)], ids=str)
-def test_a_corner_that_was_led_astray_moves_no_other(size):
+def test_a_corner_in_the_wrong_place_moves_no_other(size):
     fits, xy = make_fits(*size)
     clean = pool_corners(fits, xy).points_px
     spoiled = np.array([1, size[0] + 2])

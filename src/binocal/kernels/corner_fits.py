@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import _kernel
-from binocal.kernels.arrays import NOTHING
+from binocal.kernels.arrays import given
 from binocal.shapes import Float, Shaped
 
 CORNER_FIT = np.dtype(
@@ -35,7 +35,20 @@ CORNER_FIT = np.dtype(
 POOLED_CORNER = np.dtype([("point_px", float, 2), ("covariance_px2", float, (2, 2)), ("misfit", float)])
 """The kernel's ``PooledCorner``."""
 
-if CORNER_FIT.itemsize != 8 * _kernel.CORNER_RESULT_SIZE or POOLED_CORNER.itemsize != 8 * _kernel.POOLED_CORNER_SIZE:
+CORNER_INPUT = np.dtype([("point_px", float, 2), ("reach_px", float), ("strip_px", float)])
+"""The kernel's ``CornerInput``."""
+
+
+def _layout(record: np.dtype) -> tuple[int, dict[str, int]]:
+    """Size and the fields' offsets, bytes."""
+    return record.itemsize, {name: offset for name, (_, offset, *_) in (record.fields or {}).items()}
+
+
+if {
+    "CORNER_FIT": _layout(CORNER_FIT),
+    "CORNER_INPUT": _layout(CORNER_INPUT),
+    "POOLED_CORNER": _layout(POOLED_CORNER),
+} != _kernel.RECORD_LAYOUTS:
     raise ImportError("binocal's compiled kernel is of another version; install binocal again with pip")
 
 
@@ -117,10 +130,10 @@ def fit_corners(
     """
     if grey.ndim != 2 or grey.dtype not in (np.uint8, np.uint16, np.float32):
         raise ValueError(f"an image is (h, w), uint8, uint16 or float32; got {grey.shape}, {grey.dtype}")
-    inputs = np.empty((len(points_px), 4))
-    inputs[:, :2], inputs[:, 2], inputs[:, 3] = points_px, reach_px, strip_px
+    inputs = np.empty(len(points_px), CORNER_INPUT)
+    inputs["point_px"], inputs["reach_px"], inputs["strip_px"] = points_px, reach_px, strip_px
     records = np.empty(len(inputs), CORNER_FIT)
-    _kernel.fit_corners(np.ascontiguousarray(grey), inputs, _numbers(records))
+    _kernel.fit_corners(np.ascontiguousarray(grey), _numbers(inputs), _numbers(records))
     return CornerFits(records)
 
 
@@ -143,8 +156,7 @@ def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> Po
     With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
     """
     pooled = np.empty(len(fits.records), POOLED_CORNER)
-    places = NOTHING if board_xy is None else np.ascontiguousarray(board_xy, dtype=float)
-    noise2 = _kernel.pool_corners(_numbers(fits.records), places, _numbers(pooled))
+    noise2 = _kernel.pool_corners(_numbers(fits.records), given(board_xy), _numbers(pooled))
     return PooledCorners(pooled["point_px"], pooled["covariance_px2"], pooled["misfit"], math.sqrt(noise2))
 
 

@@ -1,4 +1,4 @@
-// The corner fit's door: an image and starts in, corners and what is known of them out.
+// The corner fit in Python: an image and starts in, corners and what is known of them out.
 #include "corner_fit.hpp"
 
 #include "corner_pool.hpp"
@@ -25,12 +25,37 @@ void fit(const Image<Pixel>& image, const Doubles& inputs, DoublesOut results) {
 
 double pool(const Doubles& fits, const Doubles& board_xy, DoublesOut pooled) {
     const std::size_t n = fits.size() / kResultSize;
-    static_assert(sizeof(PooledCorner) == kPooledSize * sizeof(double));
     if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n || (board_xy.size() != 0 && board_xy.size() != 2 * n))
         throw nb::value_error("fits must be (n, 24), board_xy (n, 2) or empty, and results (n, 7)");
     nb::gil_scoped_release unlocked;
     return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n, board_xy.size() ? board_xy.data() : nullptr,
                         reinterpret_cast<PooledCorner*>(pooled.data()));
+}
+
+// Where the fields of the records start, bytes, and the records' sizes: what the NumPy types of binocal.kernels.corner_fit must be.
+nb::dict record_layouts() {
+    nb::dict input, fit, pooled, layouts;
+    input["point_px"] = offsetof(CornerInput, x);
+    input["reach_px"] = offsetof(CornerInput, reach);
+    input["strip_px"] = offsetof(CornerInput, strip);
+    fit["point_px"] = offsetof(CornerResult, x);
+    fit["light_slope"] = offsetof(CornerResult, gx);
+    fit["covariance"] = offsetof(CornerResult, covariance);
+    fit["odd_variance"] = offsetof(CornerResult, odd_variance);
+    fit["variance"] = offsetof(CornerResult, variance);
+    fit["half_contrast_dn"] = offsetof(CornerResult, contrast);
+    fit["blur_px"] = offsetof(CornerResult, blur1);
+    fit["edges_rad"] = offsetof(CornerResult, angle1);
+    fit["radius_px"] = offsetof(CornerResult, radius);
+    fit["n_pixels"] = offsetof(CornerResult, n_pixels);
+    fit["n_evaluations"] = offsetof(CornerResult, n_evaluations);
+    pooled["point_px"] = offsetof(PooledCorner, x);
+    pooled["covariance_px2"] = offsetof(PooledCorner, covariance);
+    pooled["misfit"] = offsetof(PooledCorner, misfit);
+    layouts["CORNER_INPUT"] = nb::make_tuple(sizeof(CornerInput), input);
+    layouts["CORNER_FIT"] = nb::make_tuple(sizeof(CornerResult), fit);
+    layouts["POOLED_CORNER"] = nb::make_tuple(sizeof(PooledCorner), pooled);
+    return layouts;
 }
 
 }  // namespace
@@ -40,8 +65,7 @@ void register_corner_fit(nb::module_& module) {
     module.def("fit_corners", &fit<std::uint16_t>);
     module.def("fit_corners", &fit<float>);
     module.def("pool_corners", &pool);
-    module.attr("CORNER_RESULT_SIZE") = kResultSize;
-    module.attr("POOLED_CORNER_SIZE") = kPooledSize;
+    module.attr("RECORD_LAYOUTS") = record_layouts();
 }
 
 }  // namespace binocal

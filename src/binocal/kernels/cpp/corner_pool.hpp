@@ -16,7 +16,7 @@ constexpr double kPixelsPerCell = 15.0;        // what contradicts the model is 
 constexpr double kMaxMisfit = 0.1;             // of the contrast: odd residuals beyond it are an occlusion or a glare, not a corner
 constexpr double kFarSlope2 = 9.0;             // a slope three standard deviations from the others' is one of its own: a shadow's
 constexpr double kFarOff = 3.5;                // times the median distance from a smooth board: not a corner of it
-constexpr double kMostBend = 0.1;              // px; a strong fisheye's edges bend a corner by .02
+constexpr double kMostBend = 0.1;              // px; a strong fisheye's edges bend a corner by 0.02
 constexpr double kRounding = 1.0 / 12;         // grey levels^2
 
 struct PooledCorner {
@@ -25,6 +25,7 @@ struct PooledCorner {
     double misfit;  // variance of the residuals' odd part over the image's noise: 1 where the model holds
 };
 constexpr std::size_t kPooledSize = 7;
+static_assert(sizeof(PooledCorner) == kPooledSize * sizeof(double));
 
 inline double median_of(std::vector<double> values) {
     if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
@@ -177,7 +178,7 @@ inline void unbend(const CornerResult* fits, std::size_t n, const double* board_
     Terms terms;
     double c[2][15], limit2 = std::numeric_limits<double>::infinity();
     std::vector<double> off2(sound.size(), 0.0);
-    for (int round = 0; round < 5; ++round) {  // a corner that was led astray would bend the edges of all the others
+    for (int round = 0; round < 5; ++round) {  // a corner in the wrong place would bend the edges of all the others
         LeastSquares fit(n_terms);
         std::size_t n_kept = 0;
         for (std::size_t k = 0; k < sound.size(); ++k) {
@@ -200,7 +201,7 @@ inline void unbend(const CornerResult* fits, std::size_t n, const double* board_
         if (!std::isfinite(out[i].x)) continue;
         terms_at(i, terms);
         const double blur = 0.5 * (fits[i].blur1 + fits[i].blur2), radius = fits[i].radius;
-        const double mean_t2 = radius * radius / 3 / std::max(1 - 1.13 * blur / radius, 0.3);  // the blurred crossing tells little
+        const double mean_t2 = radius * radius / 3 / std::max(1 - 1.13 * blur / radius, 0.3);  // the blurred crossing says little
         double normal[2][2], offset[2];
         for (int axis : {0, 1}) {
             const double *along = axis ? terms.y : terms.x, *twice = axis ? terms.yy : terms.xx;
@@ -221,8 +222,8 @@ inline void unbend(const CornerResult* fits, std::size_t n, const double* board_
 // Adds the covariance of the bias that pixels leave which are coarser than the edge is blurred, px^2.
 //
 // Without blur an edge along the pixels' rows changes one grey value only, and how much the pixel's shape is not a
-// Gaussian's: measured on rendered boards parallel to the rows, .038, .022, .0074, .0028 px at blurs (pixel integration
-// included) of .295, .347, .42, .50. An edge that crosses a row within the disc averages it away.
+// Gaussian's: measured on rendered boards parallel to the rows, 0.038, 0.022, 0.0074, 0.0028 px at blurs (pixel
+// integration included) of 0.295, 0.347, 0.42, 0.50. An edge that crosses a row within the disc averages it away.
 inline void add_sampling(const CornerResult& fit, PooledCorner& out) {
     const double blurs[2] = {fit.blur1, fit.blur2}, angles[2] = {fit.angle1, fit.angle2};
     for (int k : {0, 1}) {
