@@ -228,7 +228,9 @@ def fit_corners(f: Fuzz) -> None:
 
 def pool_corners(f: Fuzz) -> None:
     n = f.size(12)
-    fits = corner_fits.CornerFits(f.floats(n, corner_fits.CORNER_FIT.itemsize // 8, scale=5.0).view(corner_fits.CORNER_FIT)[:, 0])
+    fits = corner_fits.CornerFits(
+        f.floats(n, corner_fits.CORNER_FIT.itemsize // 8, scale=5.0).view(corner_fits.CORNER_FIT)[:, 0]
+    )
     corner_fits.pool_corners(fits, f.floats(n, 2) if f.rng.random() < 0.5 else None)
 
 
@@ -242,7 +244,11 @@ FUNCTIONS = [
 def test_every_function_of_the_extension_is_fuzzed():
     called = {name for function in FUNCTIONS for name in (function.__name__,)}
     other_names = {"robust_costs": "costs", "median_lengths2": "medians", "reduced_information": "solve_steps"}
-    exported = {name for name in dir(_kernel) if callable(getattr(_kernel, name)) and not name.startswith("_")}
+    exported = {
+        name
+        for name in dir(_kernel)
+        if callable(function := getattr(_kernel, name)) and not isinstance(function, type) and not name.startswith("_")
+    }
     assert exported == {other_names.get(name, name) for name in called}
 
 

@@ -1,11 +1,11 @@
-"""What the functions of this package share: flat contiguous arrays, and how many threads are worth their start."""
+"""What the functions of this package share: contiguous arrays, and how many threads are worth their start."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy import ndarray
 
-from binocal.shapes import Float
+from binocal.shapes import Float, Shaped
 from binocal.threads import n_threads
 
 CORNERS_PER_THREAD = 20_000  # half a millisecond of work; starting a thread costs some 30 microseconds
@@ -26,27 +26,6 @@ def per_rig(scale_px: Float[ndarray, "*any"], batch: tuple[int, ...]) -> Float[n
     return np.ascontiguousarray(scale).reshape(-1)
 
 
-def given(whitening: ndarray | None) -> ndarray:
-    """The array, or nothing."""
-    return NOTHING if whitening is None else np.ascontiguousarray(whitening, dtype=float)
-
-
-def flat(
-    parameters: ndarray,
-    R: ndarray,
-    t: ndarray,
-    object_points: ndarray,
-    pixels: ndarray,
-    is_seen: ndarray,
-    n_rigs: int,
-) -> tuple[ndarray, ...]:
-    """Contiguous arrays with the batch dimensions made one."""
-    n = is_seen.shape[-1]
-    return (
-        np.ascontiguousarray(parameters, dtype=float).reshape(n_rigs, -1),
-        np.ascontiguousarray(R, dtype=float).reshape(-1, 3, 3),
-        np.ascontiguousarray(t, dtype=float).reshape(-1, 3),
-        np.ascontiguousarray(object_points, dtype=float),
-        np.ascontiguousarray(pixels, dtype=float).reshape(-1, 2, n),
-        np.ascontiguousarray(is_seen).reshape(-1, n),
-    )
+def as_floats(values: Shaped[ndarray, "..."] | None) -> Float[ndarray, "..."]:
+    """Contiguous doubles, copied only where they are not; nothing for None."""
+    return NOTHING if values is None else np.ascontiguousarray(values, dtype=float)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import _kernel
-from binocal.kernels.arrays import given
+from binocal.kernels.arrays import as_floats
 from binocal.shapes import Float, Shaped
 
 CORNER_FIT = np.dtype(
@@ -156,7 +156,7 @@ def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> Po
     With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
     """
     pooled = np.empty(len(fits.records), POOLED_CORNER)
-    noise2 = _kernel.pool_corners(_numbers(fits.records), given(board_xy), _numbers(pooled))
+    noise2 = _kernel.pool_corners(_numbers(fits.records), as_floats(board_xy), _numbers(pooled))
     return PooledCorners(pooled["point_px"], pooled["covariance_px2"], pooled["misfit"], math.sqrt(noise2))
 
 

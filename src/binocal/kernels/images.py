@@ -1,7 +1,7 @@
 """X-corners of images, the links between them and the lattices that they form.
 
 Images are C-contiguous (h, w). Points are (x, y), (0, 0) the centre of the top-left pixel. The kernel holds no lock while
-it works. Tests/kernels states each function plainly in NumPy and compares.
+it works. tests/kernels states each function plainly in NumPy and compares.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from numpy import ndarray
 
 from binocal.kernels import _kernel
 from binocal.shapes import Bool, Float, Float32, Int
-
-N_RING = _kernel.N_RING
 
 
 def saddle_response(

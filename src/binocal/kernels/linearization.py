@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import _kernel
-from binocal.kernels.arrays import flat, given, per_rig, threads_for
+from binocal.kernels.arrays import as_floats, per_rig, threads_for
 from binocal.shapes import Bool, Float
 
 
@@ -56,12 +56,12 @@ def accumulate(
     *batch, n_views, n = is_seen.shape
     free = np.ones(parameters.shape[-1], dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
     q = int(np.count_nonzero(free)) + 7
-    n_rigs = math.prod(batch)
     gram = np.empty((*batch, n_views, q, q))
     r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
     scale = per_rig(scale_px, tuple(batch))
-    arrays = flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
-    _kernel.accumulate(model, *arrays, given(whitening), free, scale, kernel, gram, r2, cost, threads_for(r2.size))
+    views = _views(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, whitening)
+    out = _kernel.Sums(gram=gram, r2=r2, cost=cost)
+    _kernel.accumulate(model, views, free, scale, kernel, out, threads_for(r2.size))
     return ViewEquations(gram, r2, cost)
 
 
@@ -76,10 +76,9 @@ def squared_lengths(
     whitening: Float[ndarray, "*batch views 3 n"] | None = None,
 ) -> Float[ndarray, "*batch views n"]:
     """Squared residual lengths alone, as those of :func:`accumulate`. 0 where not seen, inf where not finite."""
-    n_rigs = math.prod(is_seen.shape[:-2])
     r2 = np.empty(is_seen.shape)
-    arrays = flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, n_rigs)
-    _kernel.squared_lengths(model, *arrays, given(whitening), r2, threads_for(r2.size // 4))
+    views = _views(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, whitening)
+    _kernel.squared_lengths(model, views, r2, threads_for(r2.size // 4))
     return r2
 
 
@@ -118,7 +117,28 @@ def unweighted_columns(
     """The columns [parameters, xi (6), residual] themselves, of one rig, for solvers that must not square them."""
     n_views, n = is_seen.shape
     columns = np.empty((n_views, len(parameters) + 7, 2 * n))
-    _kernel.unweighted_columns(
-        model, *flat(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, 1), columns
-    )
+    views = _views(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, None)
+    _kernel.unweighted_columns(model, views, columns)
     return columns
+
+
+def _views(
+    parameters: ndarray,
+    R: ndarray,
+    t: ndarray,
+    object_points: ndarray,
+    pixels: ndarray,
+    is_seen: ndarray,
+    whitening: ndarray | None,
+) -> _kernel.Views:
+    """Contiguous arrays with the batch dimensions made one."""
+    n, n_rigs = is_seen.shape[-1], math.prod(is_seen.shape[:-2])
+    return _kernel.Views(
+        parameters=as_floats(parameters).reshape(n_rigs, -1),
+        R=as_floats(R),
+        t=as_floats(t),
+        points=as_floats(object_points),
+        pixels=as_floats(pixels),
+        is_seen=np.ascontiguousarray(is_seen).reshape(-1, n),
+        whitening=as_floats(whitening),
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import _kernel
-from binocal.kernels.arrays import NOTHING
+from binocal.kernels.arrays import NOTHING, as_floats
 from binocal.shapes import Bool, Float
 from binocal.threads import n_threads
 
@@ -56,24 +56,25 @@ def observe(
     batch = mad_px.shape
     n_rigs = math.prod(batch)
     out = np.empty((*batch, _kernel.N_OBSERVED))
-    floats = (
-        mad_px,
-        steps.shared,
-        steps.views,
-        steps.predicted_px2,
-        steps.gradient_px2,
-        steps.least_pivot,
-        t_right_left,
+    step = _kernel.NextStep(
+        shared=as_floats(steps.shared),
+        views=as_floats(steps.views),
+        predicted=as_floats(steps.predicted_px2),
+        gradient=as_floats(steps.gradient_px2),
+        pivot=as_floats(steps.least_pivot),
     )
-    before = (last.previous_mad_px, last.previous.predicted_px2, last.previous.shared)
-    _kernel.observe(
-        [np.ascontiguousarray(a).reshape(n_rigs, *a.shape[-2:]) for a in r2_px2],
-        [np.ascontiguousarray(a) for a in is_seen],
-        *(np.ascontiguousarray(a, dtype=float) for a in (*floats, t_left_board, last.scale_px, last.gain)),
-        np.ascontiguousarray(last.is_kept),
-        *(np.ascontiguousarray(a, dtype=float) for a in before),
-        out,
+    previous = _kernel.Previous(
+        scale_px=as_floats(last.scale_px),
+        gain=as_floats(last.gain),
+        is_kept=np.ascontiguousarray(last.is_kept),
+        mad=as_floats(last.previous_mad_px),
+        predicted=as_floats(last.previous.predicted_px2),
+        shared=as_floats(last.previous.shared),
     )
+    lengths2 = [np.ascontiguousarray(a).reshape(n_rigs, *a.shape[-2:]) for a in r2_px2]
+    seen = [np.ascontiguousarray(a) for a in is_seen]
+    t_rig, t_board = as_floats(t_right_left), as_floats(t_left_board)
+    _kernel.observe(lengths2, seen, as_floats(mad_px), step, t_rig, t_board, previous, out)
     return out
 
 
@@ -108,9 +109,16 @@ def solve_steps(
         np.empty((*batch, n_shared)),
         np.empty(batch),
     )
-    out = (steps.shared, steps.views, steps.predicted_px2, NOTHING, steps.gradient_px2, steps.least_pivot)
-    growths = (growth, growth if pose_growth is None else pose_growth)
-    _solve(grams, T_right_left, growths, is_rig_free, prior, (stretch, shift), out)
+    out = _kernel.StepArrays(
+        shared=steps.shared,
+        views=steps.views,
+        predicted=steps.predicted_px2,
+        reduced=NOTHING,
+        gradient=steps.gradient_px2,
+        pivot=steps.least_pivot,
+    )
+    damping = _damping(growth, pose_growth, stretch, shift)
+    _solve(_equations(grams, T_right_left, is_rig_free, prior), damping, out, grams[0].shape)
     return steps
 
 
@@ -128,8 +136,11 @@ def reduced_information(
     batch = grams[0].shape[:-3]
     n_shared = _n_shared(grams, is_rig_free)
     reduced = np.empty((*batch, n_shared, n_shared))
-    out = (NOTHING, NOTHING, NOTHING, reduced, NOTHING, NOTHING)
-    _solve(grams, T_right_left, (np.ones(batch), np.ones(batch)), is_rig_free, prior, (None, None), out)
+    out = _kernel.StepArrays(
+        shared=NOTHING, views=NOTHING, predicted=NOTHING, reduced=reduced, gradient=NOTHING, pivot=NOTHING
+    )
+    damping = _damping(np.ones(batch), None, None, None)
+    _solve(_equations(grams, T_right_left, is_rig_free, prior), damping, out, grams[0].shape)
     return reduced
 
 
@@ -149,11 +160,16 @@ def reduced_equations(
     *batch, n_views, _, _ = grams[0].shape
     s = _n_shared(grams, is_rig_free)
     reduced, gradient = np.empty((*batch, s, s)), np.empty((*batch, s))
-    unused = (np.empty((*batch, s)), np.empty((*batch, n_views, 6)), np.empty(batch))
-    growths = (growth, growth if pose_growth is None else pose_growth)
-    _solve(
-        grams, T_right_left, growths, is_rig_free, prior, (None, None), (*unused, reduced, gradient, np.empty(batch))
+    out = _kernel.StepArrays(
+        shared=np.empty((*batch, s)),
+        views=np.empty((*batch, n_views, 6)),
+        predicted=np.empty(batch),
+        reduced=reduced,
+        gradient=gradient,
+        pivot=np.empty(batch),
     )
+    damping = _damping(growth, pose_growth, None, None)
+    _solve(_equations(grams, T_right_left, is_rig_free, prior), damping, out, grams[0].shape)
     return reduced, gradient
 
 
@@ -161,28 +177,42 @@ def _n_shared(grams: tuple[ndarray, ...], is_rig_free: bool) -> int:
     return sum(gram.shape[-1] - 7 for gram in grams) + (6 if len(grams) == 2 and is_rig_free else 0)
 
 
-def _solve(
+def _equations(
     grams: tuple[ndarray, ...],
     T_right_left: tuple[ndarray, ndarray] | None,
-    growths: tuple[Float[ndarray, "*batch"], Float[ndarray, "*batch"]],
     is_rig_free: bool,
     prior: tuple[ndarray, ndarray] | None,
-    alteration: tuple[ndarray | None, ndarray | None],
-    out: tuple[ndarray, ...],
-) -> None:
-    n_views = grams[0].shape[-3]
+) -> _kernel.JointEquations:
+    """Contiguous arrays with the batch dimensions made one."""
     n_rigs = math.prod(grams[0].shape[:-3])
-    flat = [np.ascontiguousarray(gram).reshape(n_rigs, n_views, *gram.shape[-2:]) for gram in grams]
-    R, t = (NOTHING, NOTHING) if T_right_left is None else T_right_left
-    information, gradient = (NOTHING, NOTHING) if prior is None else prior
-    _kernel.solve_steps(
-        flat,
-        *(np.ascontiguousarray(a, dtype=float) for a in (R, t)),
-        is_rig_free,
-        *(
-            np.ascontiguousarray(a, dtype=float)
-            for a in (information, gradient, *growths, *(NOTHING if a is None else a for a in alteration))
-        ),
-        *out,
-        min(n_threads(), 1 + n_rigs * n_views // VIEWS_PER_THREAD),
+    R, t = T_right_left or (None, None)
+    information, gradient = prior or (None, None)
+    return _kernel.JointEquations(
+        grams=[np.ascontiguousarray(gram).reshape(n_rigs, *gram.shape[-3:]) for gram in grams],
+        R=as_floats(R),
+        t=as_floats(t),
+        is_rig_free=is_rig_free,
+        prior_information=as_floats(information),
+        prior_gradient=as_floats(gradient),
     )
+
+
+def _damping(
+    growth: Float[ndarray, "*batch"],
+    pose_growth: Float[ndarray, "*batch"] | None,
+    stretch: Float[ndarray, "*batch s"] | None,
+    shift: Float[ndarray, "*batch s"] | None,
+) -> _kernel.Damping:
+    return _kernel.Damping(
+        growth=as_floats(growth),
+        pose_growth=as_floats(growth if pose_growth is None else pose_growth),
+        stretch=as_floats(stretch),
+        shift=as_floats(shift),
+    )
+
+
+def _solve(
+    equations: _kernel.JointEquations, damping: _kernel.Damping, out: _kernel.StepArrays, shape: tuple[int, ...]
+) -> None:
+    n_views = math.prod(shape[:-2])  # of all rigs
+    _kernel.solve_steps(equations, damping, out, min(n_threads(), 1 + n_views // VIEWS_PER_THREAD))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import _kernel
-from binocal.kernels.arrays import NOTHING, threads_for
+from binocal.kernels.arrays import as_floats, threads_for
 from binocal.shapes import Float
 
 
@@ -16,10 +16,9 @@ def step_poses(
     R: Float[ndarray, "*batch 3 3"], t: Float[ndarray, "*batch 3"], xi: Float[ndarray, "*batch 6"]
 ) -> tuple[Float[ndarray, "*batch 3 3"], Float[ndarray, "*batch 3"]]:
     """Rigid transforms stepped from the left: ``(exp(omega), tau) T`` with xi = (omega, tau)."""
-    arrays = [np.ascontiguousarray(a, dtype=float) for a in (R, t, xi)]
-    out = np.empty(arrays[0].shape), np.empty(arrays[1].shape)
-    _kernel.step_poses(*arrays, *out)
-    return out
+    R_out, t_out = np.empty(R.shape), np.empty(t.shape)
+    _kernel.step_poses(as_floats(R), as_floats(t), as_floats(xi), R_out, t_out)
+    return R_out, t_out
 
 
 def compose_poses(
@@ -29,10 +28,9 @@ def compose_poses(
     t: Float[ndarray, "*batch views 3"],
 ) -> tuple[Float[ndarray, "*batch views 3 3"], Float[ndarray, "*batch views 3"]]:
     """Every rig's transform after each of its views'."""
-    arrays = [np.ascontiguousarray(a, dtype=float) for a in (R_rig, t_rig, R, t)]
-    out = np.empty(arrays[2].shape), np.empty(arrays[3].shape)
-    _kernel.compose_poses(*arrays, *out)
-    return out
+    R_out, t_out = np.empty(R.shape), np.empty(t.shape)
+    _kernel.compose_poses(as_floats(R_rig), as_floats(t_rig), as_floats(R), as_floats(t), R_out, t_out)
+    return R_out, t_out
 
 
 def pixels_behind(
@@ -54,14 +52,23 @@ def pixels_behind(
     """
     n_rigs = math.prod(pixels.shape[:-3])
     out = np.empty(pixels.shape)
-    rig = (NOTHING,) * 3 if T_right_left is None else T_right_left
+    values, value_steps = (as_floats(a).reshape(n_rigs, -1) for a in parameters)
+    R, t, view_step = (as_floats(a) for a in T_left_board)
+    R_rig, t_rig, rig_step = (as_floats(a) for a in T_right_left or (None, None, None))
+    movement = _kernel.Movement(
+        parameters=values,
+        parameter_step=value_steps,
+        R=R,
+        t=t,
+        view_step=view_step,
+        R_rig=R_rig,
+        t_rig=t_rig,
+        rig_step=rig_step,
+    )
+    flat = as_floats(pixels).reshape(-1, 2, pixels.shape[-1])
+    n_threads = threads_for(pixels.size // 4)
     _kernel.pixels_behind(
-        model,
-        *(np.ascontiguousarray(a, dtype=float).reshape(n_rigs, -1) for a in parameters),
-        *(np.ascontiguousarray(a, dtype=float) for a in (*T_left_board, *rig, bend, object_points)),
-        np.ascontiguousarray(pixels, dtype=float).reshape(-1, 2, pixels.shape[-1]),
-        out.reshape(-1, 2, pixels.shape[-1]),
-        threads_for(pixels.size // 4),
+        model, movement, as_floats(bend), as_floats(object_points), flat, out.reshape(flat.shape), n_threads
     )
     return out
 
@@ -84,11 +91,10 @@ def fit_planes(
 
     Model and formulas: :func:`binocal.geometry.homography.fit_plane`.
     """
-    batch = u.shape[:-1]
-    rows, S_inverse, P, D_inverse, du, dv = (
-        np.empty((*batch, *shape)) for shape in ((3, 3), (3, 3), (3, 6), (2, 2), u.shape[-1:], u.shape[-1:])
-    )
-    out = (rows, S_inverse, P, D_inverse, du, dv)
-    arrays = [np.ascontiguousarray(a, dtype=float) for a in (xy.T, u, v, w)]
-    _kernel.fit_planes(*arrays, n_passes, *out, threads_for(u.size // 4))
-    return out
+    *batch, n = u.shape
+    rows, S_inverse, P, D_inverse = (np.empty((*batch, *shape)) for shape in ((3, 3), (3, 3), (3, 6), (2, 2)))
+    du, dv = np.empty((*batch, n)), np.empty((*batch, n))
+    out = _kernel.PlaneFits(rows=rows, S_inverse=S_inverse, P=P, D_inverse=D_inverse, du=du, dv=dv)
+    n_threads = threads_for(u.size // 4)
+    _kernel.fit_planes(as_floats(xy.T), as_floats(u), as_floats(v), as_floats(w), n_passes, out, n_threads)
+    return rows, S_inverse, P, D_inverse, du, dv

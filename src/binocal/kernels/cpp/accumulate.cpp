@@ -344,40 +344,49 @@ Kernel kernel_of(const std::string& name) {
     throw std::invalid_argument("no robust kernel " + name);
 }
 
-// Shapes: parameters (rigs, p), R (views, 3, 3), t (views, 3), points (3, n), pixels (views, 2, n), is_seen (views, n),
-// whitening (views, 3, n) or nothing, where views counts those of all rigs.
-Task make_task(const Copies& model, const Doubles& parameters, const Doubles& R, const Doubles& t, const Doubles& points,
-               const Doubles& pixels, const Flags& is_seen, const Doubles* whitening) {
+// Corners of one camera's views and where it stands. Shapes: parameters (rigs, p), R (views, 3, 3), t (views, 3), points (3, n),
+// pixels (views, 2, n), is_seen (views, n), whitening (views, 3, n) or empty; views counts those of all rigs.
+struct Views {
+    Doubles parameters, R, t, points, pixels;
+    Flags is_seen;
+    Doubles whitening;
+};
+
+// What `accumulate` writes: (views, q, q), (views, n), (views).
+struct Sums {
+    DoublesOut gram, r2, cost;
+};
+
+Task make_task(const Copies& model, const Views& given) {
+    const auto& [parameters, R, t, points, pixels, is_seen, whitening] = given;
     require(is_seen.ndim() == 2 && parameters.ndim() == 2 && points.ndim() == 2, "wrong number of dimensions");
     const std::size_t views = is_seen.shape(0), n = is_seen.shape(1), rigs = parameters.shape(0);
     require(parameters.shape(1) == static_cast<std::size_t>(model.n_parameters), "wrong number of parameters");
     require(R.size() == 9 * views && t.size() == 3 * views, "R or t does not match the views");
     require(points.shape(0) == 3 && points.shape(1) == n, "object points must be (3, n)");
     require(pixels.size() == 2 * views * n, "pixels must be (views, 2, n)");
-    require(!whitening || whitening->size() == 0 || whitening->size() == 3 * views * n, "whitening must be (views, 3, n)");
+    require(whitening.size() == 0 || whitening.size() == 3 * views * n, "whitening must be (views, 3, n)");
     require(rigs > 0 && views % rigs == 0, "the views do not divide among the rigs");
     Task task{};
     task.n_views = views, task.views_per_rig = std::max<std::size_t>(views / rigs, 1), task.n = n;
     task.p = model.n_parameters, task.sees_behind = model.sees_behind;
     task.parameters = parameters.data(), task.R = R.data(), task.t = t.data(), task.points = points.data();
     task.pixels = pixels.data(), task.is_seen = is_seen.data();
-    task.whitening = whitening && whitening->size() > 0 ? whitening->data() : nullptr;
+    task.whitening = whitening.size() > 0 ? whitening.data() : nullptr;
     return task;
 }
 
-void accumulate(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
-                const Doubles& points, const Doubles& pixels, const Flags& is_seen, const Doubles& whitening,
-                const Flags& is_free, const Doubles& scale, const std::string& kernel, DoublesOut gram, DoublesOut r2, DoublesOut cost,
-                std::size_t n_threads) {
+void accumulate(const std::string& name, const Views& views, const Flags& is_free, const Doubles& scale, const std::string& kernel,
+                const Sums& out, std::size_t n_threads) {
     const Copies& model = copies_of(name);
-    Task task = make_task(model, parameters, R, t, points, pixels, is_seen, &whitening);
+    Task task = make_task(model, views);
     require(is_free.size() == static_cast<std::size_t>(task.p), "is_free must have one flag for each parameter");
     const std::size_t n_free = std::count(is_free.data(), is_free.data() + is_free.size(), true), q = n_free + 7;
-    require(scale.size() == parameters.shape(0), "one scale for each rig");
-    require(gram.size() == q * q * task.n_views && r2.size() == task.n * task.n_views && cost.size() == task.n_views,
+    require(scale.size() == views.parameters.shape(0), "one scale for each rig");
+    require(out.gram.size() == q * q * task.n_views && out.r2.size() == task.n * task.n_views && out.cost.size() == task.n_views,
             "an output has the wrong size");
     task.is_free = is_free.data(), task.scale = scale.data(), task.kernel = kernel_of(kernel);
-    task.gram = gram.data(), task.r2 = r2.data(), task.cost = cost.data();
+    task.gram = out.gram.data(), task.r2 = out.r2.data(), task.cost = out.cost.data();
     const Work work = n_free > 0 ? model.views : model.held;
     nb::gil_scoped_release unlocked;
     in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { work(task, first, last); });
@@ -452,21 +461,19 @@ void medians(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, 
     }
 }
 
-void squared_lengths(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
-                     const Doubles& points, const Doubles& pixels, const Flags& is_seen, const Doubles& whitening,
-                     DoublesOut r2, std::size_t n_threads) {
+void squared_lengths(const std::string& name, const Views& views, DoublesOut r2, std::size_t n_threads) {
     const Copies& model = copies_of(name);
-    Task task = make_task(model, parameters, R, t, points, pixels, is_seen, &whitening);
+    Task task = make_task(model, views);
     require(r2.size() == task.n * task.n_views, "the output has the wrong size");
     task.r2 = r2.data();
     nb::gil_scoped_release unlocked;
     in_parallel(task.n_views, n_threads, [&](std::size_t first, std::size_t last) { model.measure(task, first, last); });
 }
 
-void unweighted_columns(const std::string& name, const Doubles& parameters, const Doubles& R, const Doubles& t,
-                        const Doubles& points, const Doubles& pixels, const Flags& is_seen, DoublesOut columns) {
+void unweighted_columns(const std::string& name, const Views& views, DoublesOut columns) {
     const Copies& model = copies_of(name);
-    Task task = make_task(model, parameters, R, t, points, pixels, is_seen, nullptr);
+    Task task = make_task(model, views);
+    require(!task.whitening, "columns are not whitened");
     require(columns.size() == 2 * (model.n_parameters + 7) * task.n * task.n_views, "the output has the wrong size");
     task.columns = columns.data();
     nb::gil_scoped_release unlocked;
@@ -476,6 +483,10 @@ void unweighted_columns(const std::string& name, const Doubles& parameters, cons
 }  // namespace
 
 void register_accumulate(nb::module_& module) {
+    nb::class_<Views>(module, "Views")
+        .def(nb::init<Doubles, Doubles, Doubles, Doubles, Doubles, Flags, Doubles>(), nb::kw_only(), "parameters"_a, "R"_a, "t"_a,
+             "points"_a, "pixels"_a, "is_seen"_a, "whitening"_a);
+    nb::class_<Sums>(module, "Sums").def(nb::init<DoublesOut, DoublesOut, DoublesOut>(), nb::kw_only(), "gram"_a, "r2"_a, "cost"_a);
     module.def("accumulate", &accumulate);
     module.def("costs", &costs);
     module.def("medians", &medians);

@@ -25,6 +25,8 @@ namespace nb = nanobind;
 
 namespace binocal {
 
+using namespace nb::literals;
+
 using Doubles = nb::ndarray<const double, nb::device::cpu, nb::c_contig>;
 using Flags = nb::ndarray<const bool, nb::device::cpu, nb::c_contig>;
 using DoublesOut = nb::ndarray<double, nb::device::cpu, nb::c_contig>;

@@ -98,10 +98,15 @@ struct Entry {
 #define BINOCAL_ENTRY(name, Model) {#name, n_parameters_of<Model>, move_##name},
 constexpr Entry kModels[] = {BINOCAL_CAMERA_MODELS(BINOCAL_ENTRY)};
 
-void pixels_behind(const std::string& name, const Doubles& parameters, const Doubles& parameter_step, const Doubles& R,
-                   const Doubles& t, const Doubles& view_step, const Doubles& R_rig, const Doubles& t_rig,
-                   const Doubles& rig_step, const Doubles& bend, const Doubles& points, const Doubles& pixels,
+// What stands and steps: parameters and their step (rigs, p), T_left_board (views, ...) and T_right_left (rigs, ...) with their left
+// steps; the rig's are empty for the left camera.
+struct Movement {
+    Doubles parameters, parameter_step, R, t, view_step, R_rig, t_rig, rig_step;
+};
+
+void pixels_behind(const std::string& name, const Movement& movement, const Doubles& bend, const Doubles& points, const Doubles& pixels,
                    DoublesOut out, std::size_t n_threads) {
+    const auto& [parameters, parameter_step, R, t, view_step, R_rig, t_rig, rig_step] = movement;
     const Entry* model = nullptr;
     for (const Entry& entry : kModels) {
         if (entry.name == name) model = &entry;
@@ -127,6 +132,11 @@ void pixels_behind(const std::string& name, const Doubles& parameters, const Dou
 
 }  // namespace
 
-void register_motion(nb::module_& module) { module.def("pixels_behind", &pixels_behind); }
+void register_motion(nb::module_& module) {
+    nb::class_<Movement>(module, "Movement")
+        .def(nb::init<Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles, Doubles>(), nb::kw_only(), "parameters"_a,
+             "parameter_step"_a, "R"_a, "t"_a, "view_step"_a, "R_rig"_a, "t_rig"_a, "rig_step"_a);
+    module.def("pixels_behind", &pixels_behind);
+}
 
 }  // namespace binocal

@@ -1,4 +1,4 @@
-// What a controller sees of a robust solve: scale-free numbers of residuals and of the next step (binocal.solvers.steering
+// What a controller sees of a robust solve: scale-free numbers of residuals and of the next step (binocal.solvers.observation
 // says what they mean and in which order they come).
 
 #include "kernel.hpp"
@@ -36,10 +36,22 @@ Spread spread_of(const std::vector<double>& values) {
     return {mean, values.empty() ? 0 : std::sqrt(squares / static_cast<double>(values.size()))};
 }
 
-void observe(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, const Doubles& mad, const Doubles& shared,
-             const Doubles& views, const Doubles& predicted, const Doubles& gradient, const Doubles& pivot,
-             const Doubles& t_rig, const Doubles& t, const Doubles& scale_px, const Doubles& gain, const Flags& is_kept,
-             const Doubles& previous_mad, const Doubles& previous_predicted, const Doubles& previous_shared, DoublesOut out) {
+// The next step: (rigs, s), (rigs, views, 6), (rigs), (rigs, s), (rigs).
+struct NextStep {
+    Doubles shared, views, predicted, gradient, pivot;
+};
+
+// Of the last iteration, (rigs) but for the shared step (rigs, s): scale, gain, whether it was kept, noise and step before it.
+struct Previous {
+    Doubles scale_px, gain;
+    Flags is_kept;
+    Doubles mad, predicted, shared;
+};
+
+void observe(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, const Doubles& mad, const NextStep& step,
+             const Doubles& t_rig, const Doubles& t, const Previous& last, DoublesOut out) {
+    const auto& [shared, views, predicted, gradient, pivot] = step;
+    const auto& [scale_px, gain, is_kept, previous_mad, previous_predicted, previous_shared] = last;
     require(r2.size() == 2 && is_seen.size() == 2, "two cameras");
     require(r2[0].ndim() == 3, "squared lengths must be (rigs, views, n)");
     const std::size_t rigs = r2[0].shape(0), n_views = r2[0].shape(1), n = r2[0].shape(2), m = n_views * n;
@@ -143,6 +155,12 @@ void observe(const std::vector<Doubles>& r2, const std::vector<Flags>& is_seen, 
 }  // namespace
 
 void register_observe(nb::module_& module) {
+    nb::class_<NextStep>(module, "NextStep")
+        .def(nb::init<Doubles, Doubles, Doubles, Doubles, Doubles>(), nb::kw_only(), "shared"_a, "views"_a, "predicted"_a, "gradient"_a,
+             "pivot"_a);
+    nb::class_<Previous>(module, "Previous")
+        .def(nb::init<Doubles, Doubles, Flags, Doubles, Doubles, Doubles>(), nb::kw_only(), "scale_px"_a, "gain"_a, "is_kept"_a, "mad"_a,
+             "predicted"_a, "shared"_a);
     module.attr("N_OBSERVED") = kFeatures;
     module.def("observe", &observe);
 }

@@ -101,9 +101,14 @@ BINOCAL_INLINE void fit_views(const Planes& task, std::size_t first, std::size_t
 
 BINOCAL_DISPATCH(fits_of_views, Planes, (fit_views<lanes>(task, first, last)))
 
-void fit_planes(const Doubles& xy, const Doubles& u, const Doubles& v, const Doubles& w, int n_passes, DoublesOut rows,
-                DoublesOut S_inverse, DoublesOut P, DoublesOut D_inverse, DoublesOut du, DoublesOut dv,
+// What `fit_planes` writes, for each view: homography, blocks of the inverse normal matrix, residuals.
+struct PlaneFits {
+    DoublesOut rows, S_inverse, P, D_inverse, du, dv;
+};
+
+void fit_planes(const Doubles& xy, const Doubles& u, const Doubles& v, const Doubles& w, int n_passes, const PlaneFits& out,
                 std::size_t n_threads) {
+    const auto& [rows, S_inverse, P, D_inverse, du, dv] = out;
     require(xy.ndim() == 2 && xy.shape(0) == 2 && xy.shape(1) > 0, "plane points must be (2, n)");
     const std::size_t n = xy.shape(1), views = u.size() / n;
     require(u.size() == views * n && v.size() == views * n && w.size() == views * n, "u, v and w must be (views, n)");
@@ -118,6 +123,11 @@ void fit_planes(const Doubles& xy, const Doubles& u, const Doubles& v, const Dou
 
 }  // namespace
 
-void register_planes(nb::module_& module) { module.def("fit_planes", &fit_planes); }
+void register_planes(nb::module_& module) {
+    nb::class_<PlaneFits>(module, "PlaneFits")
+        .def(nb::init<DoublesOut, DoublesOut, DoublesOut, DoublesOut, DoublesOut, DoublesOut>(), nb::kw_only(), "rows"_a, "S_inverse"_a,
+             "P"_a, "D_inverse"_a, "du"_a, "dv"_a);
+    module.def("fit_planes", &fit_planes);
+}
 
 }  // namespace binocal

@@ -234,9 +234,29 @@ BINOCAL_INLINE void run_rigs(const Problem& problem, std::size_t first, std::siz
 
 BINOCAL_DISPATCH(steps_of_rigs, Problem, (run_rigs<lanes>(task, first, last)))
 
-void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doubles& t, bool is_rig_free, const Doubles& prior_information, const Doubles& prior_gradient,
-                 const Doubles& growth, const Doubles& pose_growth, const Doubles& stretch, const Doubles& shift, DoublesOut shared, DoublesOut views, DoublesOut predicted, DoublesOut reduced,
-                 DoublesOut gradient, DoublesOut pivot, std::size_t n_threads) {
+// Of one or two cameras: Gram matrices (rigs, views, q, q), T_right_left of each rig (empty with one camera), and what is added to
+// the shared equations, (rigs, s, s) and (rigs, s), or empty.
+struct JointEquations {
+    std::vector<Doubles> grams;
+    Doubles R, t;
+    bool is_rig_free;
+    Doubles prior_information, prior_gradient;
+};
+
+// (rigs), (rigs), then (rigs, s) or empty.
+struct Damping {
+    Doubles growth, pose_growth, stretch, shift;
+};
+
+// What is written, as in Problem; what is not wanted is empty.
+struct StepArrays {
+    DoublesOut shared, views, predicted, reduced, gradient, pivot;
+};
+
+void solve_steps(const JointEquations& equations, const Damping& damping, const StepArrays& out, std::size_t n_threads) {
+    const auto& [grams, R, t, is_rig_free, prior_information, prior_gradient] = equations;
+    const auto& [growth, pose_growth, stretch, shift] = damping;
+    const auto& [shared, views, predicted, reduced, gradient, pivot] = out;
     require(!grams.empty() && grams.size() <= 2, "one or two cameras");
     Problem problem{};
     const bool is_stereo = grams.size() == 2;
@@ -297,6 +317,16 @@ void solve_steps(const std::vector<Doubles>& grams, const Doubles& R, const Doub
 
 }  // namespace
 
-void register_step(nb::module_& module) { module.def("solve_steps", &solve_steps); }
+void register_step(nb::module_& module) {
+    nb::class_<JointEquations>(module, "JointEquations")
+        .def(nb::init<std::vector<Doubles>, Doubles, Doubles, bool, Doubles, Doubles>(), nb::kw_only(), "grams"_a, "R"_a, "t"_a,
+             "is_rig_free"_a, "prior_information"_a, "prior_gradient"_a);
+    nb::class_<Damping>(module, "Damping")
+        .def(nb::init<Doubles, Doubles, Doubles, Doubles>(), nb::kw_only(), "growth"_a, "pose_growth"_a, "stretch"_a, "shift"_a);
+    nb::class_<StepArrays>(module, "StepArrays")
+        .def(nb::init<DoublesOut, DoublesOut, DoublesOut, DoublesOut, DoublesOut, DoublesOut>(), nb::kw_only(), "shared"_a, "views"_a,
+             "predicted"_a, "reduced"_a, "gradient"_a, "pivot"_a);
+    module.def("solve_steps", &solve_steps);
+}
 
 }  // namespace binocal

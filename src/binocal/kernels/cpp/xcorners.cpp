@@ -378,7 +378,6 @@ void register_xcorners(nb::module_& module) {
     register_for<std::uint8_t>(module);
     register_for<float>(module);
     module.def("grow_groups", &grow_groups);
-    module.attr("N_RING") = kRing;
 }
 
 }  // namespace binocal
