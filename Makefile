@@ -40,7 +40,7 @@ lint: $(VENV)/.stamp
 SANITIZED := build/sanitize
 sanitize: $(VENV)/.stamp
 	$(PIP_INSTALL) nanobind cmake ninja
-	rm -rf $(SANITIZED)/src && mkdir -p $(SANITIZED)/src && cp -r src/binocal $(SANITIZED)/src/ && rm -f $(SANITIZED)/src/binocal/kernels/_kernel*
+	rm -rf $(SANITIZED)/src && mkdir -p $(SANITIZED)/src && cp -r src/binocal $(SANITIZED)/src/ && rm -f $(SANITIZED)/src/binocal/kernels/_kernel*.so
 	$(BIN)/cmake -S . -B $(SANITIZED)/cmake -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python \
 	  -DBINOCAL_SANITIZE=ON -DBINOCAL_OUTPUT=$(CURDIR)/$(SANITIZED)/src/binocal/kernels >/dev/null
 	$(BIN)/cmake --build $(SANITIZED)/cmake

@@ -1,8 +1,171 @@
-from typing import Any
+"""The compiled extension as type checkers see it. Arrays are C-contiguous doubles unless another type is named.
 
-CORNER_RESULT_SIZE: int
+Arrays are checked where they enter, and a wrong shape is a ValueError. What is not given or not wanted is an empty array. Shapes:
+the functions of binocal.kernels, and the sources in cpp/.
+"""
+
+from collections.abc import Sequence
+from typing import TypeAlias, final
+
+from numpy import dtype, float32, float64, int64, ndarray
+
+Floats: TypeAlias = ndarray[tuple[int, ...], dtype[float64]]
+Indices: TypeAlias = ndarray[tuple[int, ...], dtype[int64]]
+Plane: TypeAlias = ndarray[tuple[int, ...], dtype[float32]]
+
 N_OBSERVED: int
-N_RING: int
-POOLED_CORNER_SIZE: int
+RECORD_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 
-def __getattr__(name: str) -> Any: ...
+# residuals
+@final
+class Views:
+    def __init__(
+        self,
+        *,
+        parameters: Floats,
+        R: Floats,
+        t: Floats,
+        points: Floats,
+        pixels: Floats,
+        is_seen: ndarray,
+        whitening: Floats,
+    ) -> None: ...
+
+@final
+class Sums:
+    def __init__(self, *, gram: Floats, r2: Floats, cost: Floats) -> None: ...
+
+def accumulate(
+    model: str, views: Views, is_free: ndarray, scale: Floats, kernel: str, out: Sums, n_threads: int, /
+) -> None: ...
+def squared_lengths(model: str, views: Views, r2: Floats, n_threads: int, /) -> None: ...
+def unweighted_columns(model: str, views: Views, columns: Floats, /) -> None: ...
+def costs(r2: Floats, scale: Floats, kernel: str, cost: Floats, /) -> None: ...
+def medians(r2: Sequence[ndarray], is_seen: Sequence[ndarray], out: Floats, /) -> None: ...
+
+# the step
+@final
+class JointEquations:
+    def __init__(
+        self,
+        *,
+        grams: Sequence[ndarray],
+        R: Floats,
+        t: Floats,
+        is_rig_free: bool,
+        prior_information: Floats,
+        prior_gradient: Floats,
+    ) -> None: ...
+
+@final
+class Damping:
+    def __init__(self, *, growth: Floats, pose_growth: Floats, stretch: Floats, shift: Floats) -> None: ...
+
+@final
+class StepArrays:
+    def __init__(
+        self, *, shared: Floats, views: Floats, predicted: Floats, reduced: Floats, gradient: Floats, pivot: Floats
+    ) -> None: ...
+
+def solve_steps(equations: JointEquations, damping: Damping, out: StepArrays, n_threads: int, /) -> None: ...
+
+# what a controller sees
+@final
+class NextStep:
+    def __init__(
+        self, *, shared: Floats, views: Floats, predicted: Floats, gradient: Floats, pivot: Floats
+    ) -> None: ...
+
+@final
+class Previous:
+    def __init__(
+        self, *, scale_px: Floats, gain: Floats, is_kept: ndarray, mad: Floats, predicted: Floats, shared: Floats
+    ) -> None: ...
+
+def observe(
+    r2: Sequence[ndarray],
+    is_seen: Sequence[ndarray],
+    mad: Floats,
+    step: NextStep,
+    t_rig: Floats,
+    t: Floats,
+    last: Previous,
+    out: Floats,
+    /,
+) -> None: ...
+
+# rigid transforms
+def step_poses(R: Floats, t: Floats, xi: Floats, R_out: Floats, t_out: Floats, /) -> None: ...
+def compose_poses(R_rig: Floats, t_rig: Floats, R: Floats, t: Floats, R_out: Floats, t_out: Floats, /) -> None: ...
+
+@final
+class Movement:
+    def __init__(
+        self,
+        *,
+        parameters: Floats,
+        parameter_step: Floats,
+        R: Floats,
+        t: Floats,
+        view_step: Floats,
+        R_rig: Floats,
+        t_rig: Floats,
+        rig_step: Floats,
+    ) -> None: ...
+
+def pixels_behind(
+    model: str, movement: Movement, bend: Floats, points: Floats, pixels: Floats, out: Floats, n_threads: int, /
+) -> None: ...
+
+# homographies
+@final
+class PlaneFits:
+    def __init__(
+        self, *, rows: Floats, S_inverse: Floats, P: Floats, D_inverse: Floats, du: Floats, dv: Floats
+    ) -> None: ...
+
+def fit_planes(
+    xy: Floats, u: Floats, v: Floats, w: Floats, n_passes: int, out: PlaneFits, n_threads: int, /
+) -> None: ...
+
+# images
+def saddle_response(smooth: ndarray, response: ndarray, /) -> None: ...
+def find_peaks(response: ndarray, reach: int, margin: int, least: float, points: Floats, /) -> int: ...
+def sample(image: ndarray, points: Floats, values: Plane, /) -> None: ...
+def read_rings(
+    image: ndarray,
+    points: Floats,
+    radius: float,
+    min_contrast: float,
+    max_unlikeness: float,
+    is_corner: ndarray,
+    rays: Floats,
+    contrast: Floats,
+    /,
+) -> None: ...
+def localize_saddles(image: ndarray, fit: Floats, reach: int, points: Floats, /) -> None: ...
+def follow_edges(
+    image: ndarray, start: Floats, way: Floats, sign: Floats, contrast: Floats, is_seen: ndarray, /
+) -> None: ...
+def link_corners(
+    image: ndarray,
+    points: Floats,
+    rays: Floats,
+    contrast: Floats,
+    max_turn: float,
+    neighbour: Indices,
+    back_ray: Indices,
+    /,
+) -> None: ...
+def grow_groups(
+    points: Floats,
+    neighbour: Indices,
+    back_ray: Indices,
+    members: Indices,
+    cells: Indices,
+    turns: Indices,
+    groups: Indices,
+    /,
+) -> int: ...
+def fit_corners(image: ndarray, inputs: Floats, results: Floats, /) -> None: ...
+def pool_corners(fits: Floats, board_xy: Floats, pooled: Floats, /) -> float: ...
