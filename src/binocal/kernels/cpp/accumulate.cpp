@@ -1,4 +1,4 @@
-// Residuals, Jacobians and per-view normal equations of one camera (binocal.kernels says what the arrays mean).
+// Residuals, Jacobians and per-view normal equations of one camera (binocal.kernels.residuals says what the arrays mean).
 //
 // A view is linearised column by column: every column of [parameters, xi, residual] is a run of u entries followed by
 // one of v entries, padded with zeros to whole vectors, so that both the camera model and the Gram matrix are plain

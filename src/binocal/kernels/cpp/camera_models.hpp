@@ -1,7 +1,7 @@
 // The camera models, each stated once, for every scalar of dual.hpp: values, derivatives and Taylor series come from the same lines.
 //
 // A model takes a point of the camera's frame to the plane of unit focal length, distorted; fx, fy, cx, cy and skew are the same
-// for all and stand in `Pixel`. To add one, write a struct like those below, add its line to BINOCAL_CAMERA_MODELS, and write its
+// for all and applied by `project` and `linearize`. To add one, write a struct like those below, add its line to BINOCAL_CAMERA_MODELS, and write its
 // plain NumPy statement in binocal/cameras, against which the tests compare it.
 #pragma once
 

@@ -323,13 +323,13 @@ class CornerFitter {
         }
     };
 
-    // How far the disc and its soft edge may reach inside the image.
-    double room(double x, double y) const { return std::min(std::min(x, width_ - 1 - x), std::min(y, height_ - 1 - y)) - 1.9; }
+    // How far the disc may reach from there so that it and its soft edge stay inside the image, px.
+    double margin(double x, double y) const { return std::min(std::min(x, width_ - 1 - x), std::min(y, height_ - 1 - y)) - 1.9; }
 
     Region region_of(double x, double y, double blur) const {
         double radius = std::min({greatest_, 0.85 * input_.reach, input_.reach - 2 * blur});
         double strip = std::max(input_.strip - 2 * blur, 1.0);
-        return Region{std::min(std::max(radius, kMinRadius), room(x, y)), strip};
+        return Region{std::min(std::max(radius, kMinRadius), margin(x, y)), strip};
     }
 
     // Region, first parameters and their cost; false where the ring around the start shows no saddle.
@@ -400,7 +400,7 @@ class CornerFitter {
 
     // Whether the corner stays near its start and in the image, if need be with a smaller disc.
     bool stays(const double* next) {
-        const double left = room(next[kX], next[kY]);
+        const double left = margin(next[kX], next[kY]);
         if (left < region_.radius) {
             if (!(left >= kMinRadius)) return false;
             region_.radius = left;
@@ -437,7 +437,7 @@ class CornerFitter {
         damping_ = std::max(damping_ * 0.1, 1e-6);
     }
 
-    // The disc follows the blur that is found, then stays; false where there is no room for one.
+    // The disc follows the blur that is found, then stays; false where the image leaves no place for one.
     bool follow(double moved) {
         if (moved < 0.3 || n_evaluations_ > 3) greatest_ = kMaxRadius;
         if (n_evaluations_ >= (is_large_ ? 8 : 6)) return true;

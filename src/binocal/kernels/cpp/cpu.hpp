@@ -1,4 +1,4 @@
-// What the processor at hand can do and what the compiler is told about loops. One statement for every source file.
+// What the processor at hand can do and what the compiler may assume of loops. One statement for every source file.
 #pragma once
 
 #include <cstddef>
@@ -19,6 +19,13 @@
 #else
 #define BINOCAL_INLINE inline
 #define BINOCAL_INLINE_LAMBDA
+#endif
+
+// Of pointers: nothing is reached through another one.
+#if defined(_MSC_VER)
+#define BINOCAL_APART __restrict
+#else
+#define BINOCAL_APART __restrict__
 #endif
 
 // Of loops: the iterations do not depend on one another.

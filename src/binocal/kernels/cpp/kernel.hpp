@@ -1,6 +1,8 @@
 // The compiled kernel's own header: array types, and one registration function for each source file.
 #pragma once
 
+#include "cpu.hpp"
+
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -13,13 +15,6 @@
 #include <system_error>
 #include <thread>
 #include <vector>
-
-// Of pointers: nothing is reached through another one.
-#if defined(_MSC_VER)
-#define BINOCAL_APART __restrict
-#else
-#define BINOCAL_APART __restrict__
-#endif
 
 namespace nb = nanobind;
 

@@ -1,4 +1,4 @@
-// How far a step moves every predicted corner, to second order (binocal.kernels says what the arrays mean).
+// How far a step moves every predicted corner, to second order (binocal.kernels.poses says what the arrays mean).
 //
 // Points, parameters and pixels are truncated Taylor series in the length s of the step; the series is summed at s = 1.
 
@@ -8,7 +8,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 #include <string>
 #include <string_view>
 

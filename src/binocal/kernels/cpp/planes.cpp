@@ -5,7 +5,6 @@
 #include "linear_algebra.hpp"
 
 #include <algorithm>
-#include <stdexcept>
 #include <vector>
 
 namespace binocal {

@@ -4,7 +4,6 @@
 #include "linear_algebra.hpp"
 
 #include <cmath>
-#include <stdexcept>
 
 namespace binocal {
 namespace {

@@ -1,5 +1,5 @@
 // The step of the joint solver: normal equations of a rig from those of its views, board poses eliminated
-// (binocal.kernels says what the arrays mean). Rigs are independent; each is summed in one fixed order.
+// (binocal.kernels.steps says what the arrays mean). Rigs are independent; each is summed in one fixed order.
 
 #include "camera_models.hpp"
 #include "gram.hpp"
@@ -9,7 +9,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 #include <vector>
 
 namespace binocal {
@@ -51,121 +50,121 @@ struct Workspace {
           g(problem.s), block(m * m), gradients(6 * problem.n_views), diagonals(6 * problem.n_views), totals(2 * kMaxGram) {}
 };
 
-template <int lanes>
-BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspace& w) {
-    const int s = problem.s;
-    const std::size_t n_views = problem.n_views;
-    const double growth = problem.growth[rig], pose_growth = problem.pose_growth[rig];
+using Coupling = double[6][kMaxColumns];  // of a view with the shared unknowns, row after row, then in column s its gradient
+
+// Adds one camera's corners of a view to the view's pose equations A and coupling, and to the camera's totals.
+BINOCAL_INLINE void add_camera(const Problem& problem, std::size_t rig, std::size_t view, std::size_t index, Workspace& w, double* A,
+                               Coupling& W) {
+    const CameraPart& camera = problem.cameras[index];
     const double *R = problem.R ? problem.R + 9 * rig : nullptr, *t = problem.t ? problem.t + 3 * rig : nullptr;
-    double *H = w.H.data(), *g = w.g.data(), *Y = w.Y.data();
-    std::fill(w.H.begin(), w.H.end(), 0.0);
-    std::fill(w.g.begin(), w.g.end(), 0.0);
-    std::fill(w.totals.begin(), w.totals.end(), 0.0);
-    std::size_t n_loose = 0;  // views whose pose their corners do not determine
-    alignas(64) double W[6][kMaxColumns];  // a view's coupling, row after row, then in column s its gradient
-    for (std::size_t view = 0; view < n_views; ++view) {
-        double* A = w.L.data() + 36 * view;
-        std::fill(A, A + 36, 0.0);
-        for (auto& row : W) std::fill(row, row + s + 1, 0.0);
-        for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
-            const CameraPart& camera = problem.cameras[index];
-            const int p = camera.p, q = p + 7, n_keep = static_cast<int>(camera.keep.size());
-            const double* G = camera.gram + (rig * n_views + view) * q * q;
-            for (int i = 0; i < n_keep; ++i) {
-                const double* row = G + camera.keep[i] * q;
-                double x[6];
-                for (int k = 0; k < 6; ++k) x[k] = row[p + k];
-                if (index == 1) adjoint_transposed(R, t, x);
-                for (int k = 0; k < 6; ++k) W[k][camera.place[i]] += x[k];
-            }
-            double* total = w.totals.data() + index * kMaxGram;
-            for (int i = 0; i < q * q; ++i) total[i] += G[i];
-            double pose[7][6];  // the pose columns and the gradient, at first G's own
-            for (int i = 0; i < 7; ++i) {
-                const double* row = G + (p + i) * q + p;
-                for (int k = 0; k < 6; ++k) pose[i][k] = row[k];
-            }
-            if (index == 1) {
-                for (auto& column : pose) adjoint_transposed(R, t, column);  // Adᵀ G, by columns
-                for (int k = 0; k < 6; ++k) {                                // (Adᵀ G) Ad = (Adᵀ (Adᵀ G)ᵀ)ᵀ
-                    double x[6];
-                    for (int i = 0; i < 6; ++i) x[i] = pose[i][k];
-                    adjoint_transposed(R, t, x);
-                    for (int i = 0; i < 6; ++i) pose[i][k] = x[i];
-                }
-            }
-            for (int i = 0; i < 6; ++i) {
-                for (int k = 0; k < 6; ++k) A[6 * i + k] += pose[i][k];
-                W[i][s] += pose[6][i];
-            }
-        }
-        double trace = 0;
-        double *scale = w.scale.data() + 6 * view, *diagonal = w.diagonals.data() + 6 * view;
-        for (int i = 0; i < 6; ++i) trace += diagonal[i] = A[7 * i];
-        for (int i = 0; i < 6; ++i) w.gradients[6 * view + i] = W[i][s];
-        if (!(trace > 0)) {  // no corner at all: the view neither steps nor counts
-            std::fill(A, A + 36, 0.0);
-            for (int i = 0; i < 6; ++i) A[7 * i] = 1;
-        }
-        for (int i = 0; i < 6; ++i) A[7 * i] *= pose_growth;
-        for (int i = 0; i < 6; ++i) scale[i] = 1 / std::sqrt(std::max(A[7 * i], kTiny));
-        for (int i = 0; i < 6; ++i) {
-            for (int k = 0; k < 6; ++k) A[6 * i + k] *= scale[i] * scale[k];
-        }
-        if (!cholesky(A, A, 6, 6, 0.0)) {  // the corners that carry weight do not hold the pose: the same
-            for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
-                const int q = problem.cameras[index].p + 7;
-                const double* G = problem.cameras[index].gram + (rig * n_views + view) * q * q;
-                double* total = w.totals.data() + index * kMaxGram;
-                for (int i = 0; i < q * q; ++i) total[i] -= G[i];
-            }
-            std::fill(A, A + 36, 0.0);
-            for (int i = 0; i < 6; ++i) A[7 * i] = scale[i] = 1;
-            for (auto& row : W) std::fill(row, row + s + 1, 0.0);
-            std::fill(diagonal, diagonal + 6, 0.0);
-            std::fill(w.gradients.data() + 6 * view, w.gradients.data() + 6 * view + 6, 0.0);
-            ++n_loose;
-        }
-        for (int i = 0; i < 6; ++i) {  // Y = L⁻¹ S [W, gradient], in place, all columns at once
-            const double inverse_pivot = A[7 * i];
-            double* row = W[i];
-            for (int column = 0; column <= s; ++column) row[column] *= scale[i];
-            for (int k = 0; k < i; ++k) {
-                for (int column = 0; column <= s; ++column) row[column] -= A[6 * i + k] * W[k][column];
-            }
-            for (int column = 0; column <= s; ++column) row[column] *= inverse_pivot;
-        }
-        for (int column = 0; column <= s; ++column) {
-            for (int i = 0; i < 6; ++i) Y[column * w.stride + 6 * view + i] = W[i][column];
+    const int s = problem.s, p = camera.p, q = p + 7, n_keep = static_cast<int>(camera.keep.size());
+    const double* G = camera.gram + (rig * problem.n_views + view) * q * q;
+    for (int i = 0; i < n_keep; ++i) {
+        const double* row = G + camera.keep[i] * q;
+        double x[6];
+        for (int k = 0; k < 6; ++k) x[k] = row[p + k];
+        if (index == 1) adjoint_transposed(R, t, x);
+        for (int k = 0; k < 6; ++k) W[k][camera.place[i]] += x[k];
+    }
+    double* total = w.totals.data() + index * kMaxGram;
+    for (int i = 0; i < q * q; ++i) total[i] += G[i];
+    double pose[7][6];  // the pose columns and the gradient, at first G's own
+    for (int i = 0; i < 7; ++i) {
+        const double* row = G + (p + i) * q + p;
+        for (int k = 0; k < 6; ++k) pose[i][k] = row[k];
+    }
+    if (index == 1) {
+        for (auto& column : pose) adjoint_transposed(R, t, column);  // Adᵀ G, by columns
+        for (int k = 0; k < 6; ++k) {                                // (Adᵀ G) Ad = (Adᵀ (Adᵀ G)ᵀ)ᵀ
+            double x[6];
+            for (int i = 0; i < 6; ++i) x[i] = pose[i][k];
+            adjoint_transposed(R, t, x);
+            for (int i = 0; i < 6; ++i) pose[i][k] = x[i];
         }
     }
-    if (n_loose == n_views) return false;
+    for (int i = 0; i < 6; ++i) {
+        for (int k = 0; k < 6; ++k) A[6 * i + k] += pose[i][k];
+        W[i][s] += pose[6][i];
+    }
+}
+
+// Takes a view whose corners do not determine its pose out of all sums: it neither steps nor counts.
+BINOCAL_INLINE void leave_out(const Problem& problem, std::size_t rig, std::size_t view, Workspace& w, Coupling& W) {
+    for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
+        const int q = problem.cameras[index].p + 7;
+        const double* G = problem.cameras[index].gram + (rig * problem.n_views + view) * q * q;
+        double* total = w.totals.data() + index * kMaxGram;
+        for (int i = 0; i < q * q; ++i) total[i] -= G[i];
+    }
+    double *A = w.L.data() + 36 * view, *scale = w.scale.data() + 6 * view;
+    std::fill(A, A + 36, 0.0);
+    for (int i = 0; i < 6; ++i) A[7 * i] = scale[i] = 1;
+    for (auto& row : W) std::fill(row, row + problem.s + 1, 0.0);
+    std::fill_n(w.diagonals.data() + 6 * view, 6, 0.0);
+    std::fill_n(w.gradients.data() + 6 * view, 6, 0.0);
+}
+
+// Factorises one view's pose equations and writes its rows of Y = L⁻¹ S [coupling, gradient]; false where they are singular.
+BINOCAL_INLINE bool eliminate_view(const Problem& problem, std::size_t rig, std::size_t view, Workspace& w) {
+    const int s = problem.s;
+    double* A = w.L.data() + 36 * view;
+    alignas(64) Coupling W;
+    std::fill(A, A + 36, 0.0);
+    for (auto& row : W) std::fill(row, row + s + 1, 0.0);
+    for (std::size_t index = 0; index < problem.cameras.size(); ++index) add_camera(problem, rig, view, index, w, A, W);
+    double trace = 0;
+    double *scale = w.scale.data() + 6 * view, *diagonal = w.diagonals.data() + 6 * view;
+    for (int i = 0; i < 6; ++i) trace += diagonal[i] = A[7 * i];
+    for (int i = 0; i < 6; ++i) w.gradients[6 * view + i] = W[i][s];
+    if (!(trace > 0)) {  // no corner at all: the view neither steps nor counts
+        std::fill(A, A + 36, 0.0);
+        for (int i = 0; i < 6; ++i) A[7 * i] = 1;
+    }
+    for (int i = 0; i < 6; ++i) A[7 * i] *= problem.pose_growth[rig];
+    for (int i = 0; i < 6; ++i) scale[i] = 1 / std::sqrt(std::max(A[7 * i], kTiny));
+    for (int i = 0; i < 6; ++i) {
+        for (int k = 0; k < 6; ++k) A[6 * i + k] *= scale[i] * scale[k];
+    }
+    const bool is_determined = cholesky(A, A, 6, 6, 0.0);
+    if (!is_determined) leave_out(problem, rig, view, w, W);
+    for (int i = 0; i < 6; ++i) {  // in place, all columns at once
+        const double inverse_pivot = A[7 * i];
+        double* row = W[i];
+        for (int column = 0; column <= s; ++column) row[column] *= scale[i];
+        for (int k = 0; k < i; ++k) {
+            for (int column = 0; column <= s; ++column) row[column] -= A[6 * i + k] * W[k][column];
+        }
+        for (int column = 0; column <= s; ++column) row[column] *= inverse_pivot;
+    }
+    for (int column = 0; column <= s; ++column) {
+        for (int i = 0; i < 6; ++i) w.Y[column * w.stride + 6 * view + i] = W[i][column];
+    }
+    return is_determined;
+}
+
+// The shared unknowns' own equations H, g, priors included.
+BINOCAL_INLINE void sum_shared(const Problem& problem, std::size_t rig, Workspace& w) {
+    const int s = problem.s;
     for (std::size_t index = 0; index < problem.cameras.size(); ++index) {
         const CameraPart& camera = problem.cameras[index];
         const int q = camera.p + 7, n_keep = static_cast<int>(camera.keep.size());
         for (int i = 0; i < n_keep; ++i) {
             const double* row = w.totals.data() + index * kMaxGram + camera.keep[i] * q;
-            for (int k = 0; k < n_keep; ++k) H[camera.place[i] * s + camera.place[k]] += row[camera.keep[k]];
-            g[camera.place[i]] += row[q - 1];
+            for (int k = 0; k < n_keep; ++k) w.H[camera.place[i] * s + camera.place[k]] += row[camera.keep[k]];
+            w.g[camera.place[i]] += row[q - 1];
         }
     }
     if (problem.prior_information) {
-        for (int i = 0; i < s * s; ++i) H[i] += problem.prior_information[rig * s * s + i];
-        for (int i = 0; i < s; ++i) g[i] += problem.prior_gradient[rig * s + i];
+        for (int i = 0; i < s * s; ++i) w.H[i] += problem.prior_information[rig * s * s + i];
+        for (int i = 0; i < s; ++i) w.g[i] += problem.prior_gradient[rig * s + i];
     }
-    gram_matrix<lanes>(Y, w.stride, w.m, w.block.data());
-    std::vector<double> A(s * s), x(s), scale(s);
-    for (int i = 0; i < s; ++i) {
-        for (int k = 0; k < s; ++k) {
-            const double eliminated = i <= k ? w.block[i * w.m + k] : w.block[k * w.m + i];
-            A[i * s + k] = H[i * s + k] * (i == k ? growth : 1.0) - eliminated;
-        }
-        x[i] = g[i] - w.block[i * w.m + s];
-        scale[i] = 1 / std::sqrt(std::max(H[i * s + i] * growth, kTiny));
-    }
-    if (problem.reduced) std::copy(A.begin(), A.end(), problem.reduced + rig * s * s);
-    if (!problem.shared) return true;
-    if (problem.gradient) std::copy(x.begin(), x.end(), problem.gradient + rig * s);
+}
+
+// Solves the equilibrated shared equations A x = x0 and alters the solution as the problem says; false where they are singular.
+// Adds to `unsolved` the altered step times what it leaves of the gradient.
+BINOCAL_INLINE bool solve_shared(const Problem& problem, std::size_t rig, std::vector<double>& A, std::vector<double>& x,
+                                 const std::vector<double>& scale, double& unsolved) {
+    const int s = problem.s;
     for (int i = 0; i < s; ++i) {
         for (int k = 0; k < s; ++k) A[i * s + k] *= scale[i] * scale[k];
         x[i] *= scale[i];
@@ -176,24 +175,30 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
     double least_pivot;
     if (!eliminate(A.data(), x.data(), s, least_pivot)) return false;
     if (problem.pivot) problem.pivot[rig] = least_pivot;
-    double unsolved = 0;  // step times what it leaves of the gradient
-    if (is_altered) {
-        for (int i = 0; i < s; ++i) {
-            if (problem.stretch) x[i] *= problem.stretch[rig * s + i];
-            if (problem.shift) x[i] += problem.shift[rig * s + i] / scale[i];
-        }
-        for (int i = 0; i < s; ++i) {
-            double left = right_side[i];
-            for (int k = 0; k < s; ++k) left -= plain[i * s + k] * x[k];
-            unsolved += x[i] * left;
-        }
+    if (!is_altered) return true;
+    for (int i = 0; i < s; ++i) {
+        if (problem.stretch) x[i] *= problem.stretch[rig * s + i];
+        if (problem.shift) x[i] += problem.shift[rig * s + i] / scale[i];
     }
-    double *shared = problem.shared + rig * s, *views = problem.views + 6 * n_views * rig;
+    for (int i = 0; i < s; ++i) {
+        double left = right_side[i];
+        for (int k = 0; k < s; ++k) left -= plain[i * s + k] * x[k];
+        unsolved += x[i] * left;
+    }
+    return true;
+}
+
+// The views' best steps beside the shared one, and the fall of the cost that both predict.
+BINOCAL_INLINE double step_views(const Problem& problem, std::size_t rig, const Workspace& w, double unsolved) {
+    const int s = problem.s;
+    const std::size_t n_views = problem.n_views;
+    const double growth = problem.growth[rig], pose_growth = problem.pose_growth[rig];
+    const double *shared = problem.shared + rig * s, *Y = w.Y.data();
+    double* views = problem.views + 6 * n_views * rig;
     double linear = 0, extra = 0, pose_extra = 0;
     for (int i = 0; i < s; ++i) {
-        shared[i] = x[i] * scale[i];
-        linear += shared[i] * g[i];
-        extra += shared[i] * shared[i] * H[i * s + i];
+        linear += shared[i] * w.g[i];
+        extra += shared[i] * shared[i] * w.H[i * s + i];
     }
     for (std::size_t entry = 0; entry < 6 * n_views; ++entry) views[entry] = Y[s * w.stride + entry];
     for (int column = 0; column < s; ++column) {
@@ -201,16 +206,45 @@ BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspa
         for (std::size_t entry = 0; entry < 6 * n_views; ++entry) views[entry] -= y[entry] * shared[column];
     }
     for (std::size_t view = 0; view < n_views; ++view) {
-        const double *L = w.L.data() + 36 * view, *view_scale = w.scale.data() + 6 * view;
         double* xi = views + 6 * view;
-        solve_upper(L, 6, 6, xi);
+        solve_upper(w.L.data() + 36 * view, 6, 6, xi);
         for (int i = 0; i < 6; ++i) {
-            xi[i] *= view_scale[i];
+            xi[i] *= w.scale[6 * view + i];
             linear += xi[i] * w.gradients[6 * view + i];
             pose_extra += xi[i] * xi[i] * w.diagonals[6 * view + i];
         }
     }
-    problem.predicted[rig] = 0.5 * (linear + unsolved + (growth - 1) * extra + (pose_growth - 1) * pose_extra);
+    return 0.5 * (linear + unsolved + (growth - 1) * extra + (pose_growth - 1) * pose_extra);
+}
+
+template <int lanes>
+BINOCAL_INLINE bool step_of_rig(const Problem& problem, std::size_t rig, Workspace& w) {
+    const int s = problem.s;
+    const double growth = problem.growth[rig];
+    std::fill(w.H.begin(), w.H.end(), 0.0);
+    std::fill(w.g.begin(), w.g.end(), 0.0);
+    std::fill(w.totals.begin(), w.totals.end(), 0.0);
+    std::size_t n_determined = 0;
+    for (std::size_t view = 0; view < problem.n_views; ++view) n_determined += eliminate_view(problem, rig, view, w);
+    if (n_determined == 0) return false;
+    sum_shared(problem, rig, w);
+    gram_matrix<lanes>(w.Y.data(), w.stride, w.m, w.block.data());
+    std::vector<double> A(s * s), x(s), scale(s);
+    for (int i = 0; i < s; ++i) {
+        for (int k = 0; k < s; ++k) {
+            const double eliminated = i <= k ? w.block[i * w.m + k] : w.block[k * w.m + i];
+            A[i * s + k] = w.H[i * s + k] * (i == k ? growth : 1.0) - eliminated;
+        }
+        x[i] = w.g[i] - w.block[i * w.m + s];
+        scale[i] = 1 / std::sqrt(std::max(w.H[i * s + i] * growth, kTiny));
+    }
+    if (problem.reduced) std::copy(A.begin(), A.end(), problem.reduced + rig * s * s);
+    if (!problem.shared) return true;
+    if (problem.gradient) std::copy(x.begin(), x.end(), problem.gradient + rig * s);
+    double unsolved = 0;
+    if (!solve_shared(problem, rig, A, x, scale, unsolved)) return false;
+    for (int i = 0; i < s; ++i) problem.shared[rig * s + i] = x[i] * scale[i];
+    problem.predicted[rig] = step_views(problem, rig, w, unsolved);
     return std::isfinite(problem.predicted[rig]);
 }
 
