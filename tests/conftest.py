@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import jaxtyping
@@ -44,12 +46,27 @@ settings.register_profile("binocal", deadline=None, max_examples=50, print_blob=
 settings.load_profile("binocal")
 
 
+@contextlib.contextmanager
+def _without_checks() -> Iterator[None]:
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
+
+
 @pytest.fixture
 def unchecked_types():
     """Lets wrong types through to a function's own checks, which are what a test of the caller's mistakes is about."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    with _without_checks():
+        yield
+
+
+@pytest.fixture(scope="module")
+def many_calls():
+    """For modules that call small functions so often that checking shapes would take most of the time; others check them."""
+    with _without_checks():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,8 @@ from binocal.rl.registration import MAX_STEPS
 from binocal.rl.rig_batches import RIG_SETS
 from binocal.solvers.controllers import Marquardt
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 
 @pytest.mark.slow
 def test_all_controllers_have_a_row_and_the_text_shows_them():

@@ -15,6 +15,8 @@ from binocal.simulation.noise import simulate_detections
 from binocal.simulation.rigs import random_rig
 from binocal.simulation.scenes import StereoScene, sample_board_poses
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 BOARD = parse_board("chessboard:8x6:30mm")
 FEW = settings(max_examples=8, derandomize=True, deadline=None)
 SEEDS = st.integers(0, 10_000)

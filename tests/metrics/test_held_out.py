@@ -8,6 +8,8 @@ from binocal.metrics.held_out import criteria_on_exact_views, draw_rigs
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.solvers.covariance import cramer_rao_bound
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 
 @pytest.fixture(scope="module")
 def scene_and_bound():

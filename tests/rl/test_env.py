@@ -21,6 +21,8 @@ from binocal.rl.env import EnvOptions, StereoExtrinsicsEnv, StereoExtrinsicsVect
 from binocal.rl.registration import ENV_ID, MAX_STEPS, register_if_loaded
 from binocal.rl.task import observation_names
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 FEW = {"pool_size": 12}
 
 

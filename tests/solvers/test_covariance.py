@@ -18,6 +18,8 @@ from binocal.solvers.board_views import BundleEstimate
 from binocal.solvers.covariance import cramer_rao_bound, inliers, residual_noise_px
 from binocal.solvers.minimization import minimize
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 BOARD = parse_board("chessboard:5x4:40mm")
 RIG = table2_rig()
 NOISE_PX = 0.2

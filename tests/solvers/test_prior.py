@@ -128,6 +128,7 @@ def test_what_is_informed_can_be_a_part():
     assert all(found.covariance.sigma[name] < alone[name] for name in ("left.fx", "right.fy", "rotation.y"))
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_errors_are_covered_with_a_prior():
     # 30 recordings, each with the prior of another one: standardised errors of all parameters; measured 0.71 and 0.97
     truth = table2_rig()

@@ -17,6 +17,8 @@ from binocal.rl.training.imitation import Imitation  # noqa: E402
 from binocal.rl.training.td3 import TD3Options  # noqa: E402
 from binocal.rl.training.trainer import CENTRES, Training, TrainingOptions, default_options, run_training  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 OPTIONS = TrainingOptions(
     n_steps=600,
     td3=TD3Options(discount=0.9, learning_rate=1e-3, actor_widths=(16,), critic_widths=(16,)),
