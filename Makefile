@@ -16,10 +16,10 @@ demo: $(VENV)/.core
 	@$(BIN)/binocal demo --output binocal-demo --force
 
 test: lint
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 fast: $(VENV)/.stamp
-	$(BIN)/pytest -n auto -m "not slow"
+	$(BIN)/pytest -n auto --dist worksteal -m "not slow"
 
 coverage: $(VENV)/.stamp
 	@mkdir -p build/coverage && rm -f build/coverage/data*

@@ -9,6 +9,8 @@ import jaxtyping
 import pytest
 from hypothesis import settings
 
+import shape_checks
+
 # Before binocal is imported: what it states of types and shapes is checked at every call of the test run.
 CHECKED = [
     "geometry",
@@ -40,7 +42,7 @@ CHECKED = [
     "benchmark",
     "report",
 ]
-jaxtyping.install_import_hook([f"binocal.{name}" for name in CHECKED], "shape_checks.checked")
+shape_checks.install([f"binocal.{name}" for name in CHECKED])
 
 settings.register_profile("binocal", deadline=None, max_examples=50, print_blob=True)
 settings.load_profile("binocal")
@@ -60,6 +62,12 @@ def unchecked_types():
     """Lets wrong types through to a function's own checks, which are what a test of the caller's mistakes is about."""
     with _without_checks():
         yield
+
+
+@pytest.fixture
+def every_call_checked(monkeypatch):
+    """No sampling of calls, for tests of the checks themselves."""
+    monkeypatch.setattr(shape_checks.Sampling, "is_on", False)
 
 
 @pytest.fixture(scope="module")

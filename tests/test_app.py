@@ -104,7 +104,13 @@ def test_a_board_without_a_size_is_not_simulated(fakes, tmp_path):
         app.simulate(make_rig(), BOARD, 0, tmp_path / "out")
 
 
-@pytest.mark.usefixtures("unchecked_types")
+@pytest.fixture
+def few_bound_rigs(monkeypatch):
+    """The criteria's bound from four rigs: what it is worth is tested in tests/metrics."""
+    monkeypatch.setattr("binocal.metrics.held_out.N_BOUND_RIGS", 4)
+
+
+@pytest.mark.usefixtures("few_bound_rigs")
 def test_the_truth_is_met_with_the_bound_of_the_views_used(fakes, truth):
     calibration = app.calibrate_images("l", "r", BOARD).calibration
     used = replace(calibration, views=calibration.views[:4])
@@ -117,7 +123,7 @@ def test_the_truth_is_met_with_the_bound_of_the_views_used(fakes, truth):
     assert "cannot say" in app.evaluate_truth(fisheye, truth).notes[0]
 
 
-@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.usefixtures("few_bound_rigs")
 def test_a_rig_in_pitches_is_scaled_by_the_truths_board(fakes, truth):
     calibration = app.calibrate_images("l", "r", BOARD).calibration
     in_pitches = replace(calibration, rig=replace(scaled(fakes.rig, 100.0), is_metric=False))

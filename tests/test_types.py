@@ -64,6 +64,7 @@ def test_users_see_arrays_with_shapes():
     assert typing.get_type_hints(SE3)["t"].dim_str == "*batch 3"
 
 
+@pytest.mark.usefixtures("every_call_checked")
 @pytest.mark.parametrize(
     "call",
     [

@@ -39,11 +39,11 @@ def test_the_lens_bends_edges_and_the_fit_takes_it_out(shoot):
     "options",
     [
         {},
-        {"gamma": 2.2},
+        pytest.param({"gamma": 2.2}, marks=pytest.mark.slow),
         {"vignetting": 0.4},
-        {"motion_px": (1.6, 1.2)},
-        {"blur_kind": "disc", "blur_px": 1.5},
-        {"blur_px": 2.0, "noise_dn": 10.0},
+        pytest.param({"motion_px": (1.6, 1.2)}, marks=pytest.mark.slow),
+        pytest.param({"blur_kind": "disc", "blur_px": 1.5}, marks=pytest.mark.slow),
+        pytest.param({"blur_px": 2.0, "noise_dn": 10.0}, marks=pytest.mark.slow),
     ],
     ids=str,
 )
