@@ -54,6 +54,7 @@ docs: $(VENV)/.stamp
 	$(PIP_INSTALL) -e '.[docs]'
 	$(BIN)/python docs/make_cli_reference.py
 	$(BIN)/python docs/make_findings.py
+	$(BIN)/python docs/make_architecture.py
 	$(BIN)/python docs/make_figure.py
 	$(BIN)/python docs/make_chessboard_figures.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
