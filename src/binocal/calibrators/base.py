@@ -21,7 +21,7 @@ class CalibrationRequest:
 
     ``model`` is a camera model's name, or ``auto``: the one with the least error on held-out views; a calibrator itself is
     only ever asked for a named one. ``seed`` feeds every random choice. With ``max_views`` only the views that determine depth best
-    about depth are used, at most so many. ``options`` are the method's own; one that it does not know is an error.
+    are used, at most so many. ``options`` are the method's own; one that it does not know is an error.
     ``prior`` is what is known of the rig before, part of it held exactly.
     """
 
