@@ -374,7 +374,7 @@ def bench(
 
 def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
     if as_json:
-        from binocal.formats.rig_json import dump_json, jsonable
+        from binocal.formats.json_document import dump_json, jsonable
 
         print(dump_json(jsonable(document)), end="")
     else:
