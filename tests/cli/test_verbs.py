@@ -265,3 +265,28 @@ def test_train_leaves_other_files_alone(tmp_path, monkeypatch, capsys):
     assert main(["train", "--output", str(tmp_path), "--steps", "10"]) == 3
     assert "notes.txt" not in os.listdir(tmp_path.parent) and (tmp_path / "notes.txt").read_text() == "mine"
     assert str(tmp_path) in capsys.readouterr().err
+
+
+def test_an_earlier_rig_is_a_prior_and_parts_of_it_are_held(fakes, capsys):
+    assert main([*CALIBRATE, "--output", "earlier.json"]) == 0
+    assert fakes.calls["calibrate"].prior is None
+    assert main([*CALIBRATE, "--output", "next.json", "--prior", "earlier.json", "--hold", "left, right.fx"]) == 0
+    prior = fakes.calls["calibrate"].prior
+    assert "left.fx" in prior.held and "left.k1" in prior.held and "right.fx" in prior.held
+    assert "right.fy" in prior.names and "rotation.x" in prior.names and "left.fy" not in prior.names
+    assert prior.rig.baseline_m == pytest.approx(fakes.rig.baseline_m)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--hold", "left"], 2, "name the prior with --prior"),
+        (["--prior", "none.json"], 3, "none.json: no such file"),
+        (["--prior", "earlier.json", "--hold", "nose"], 2, "no 'nose' to hold"),
+        (["--prior", "earlier.json", "--model", "fisheye4"], 2, "leave out --model"),
+    ],
+)
+def test_a_prior_that_cannot_be_is_named(arguments, code, words, fakes, capsys):
+    assert main([*CALIBRATE, "--output", "earlier.json"]) == 0
+    assert main([*CALIBRATE, "--output", "next.json", *arguments]) == code
+    assert words in capsys.readouterr().err and not os.path.exists("next.json")

@@ -12,6 +12,7 @@ import binocal
 from binocal import RigPrior
 from binocal.boards import parse_board
 from binocal.cameras import CAMERA_MODELS, camera_model
+from binocal.errors import DataError
 from binocal.geometry import SE3, so3
 from binocal.result import Covariance
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
@@ -187,12 +188,12 @@ def test_the_information_adds_to_that_of_the_views():
 
 def test_a_prior_about_other_cameras_is_refused():
     earlier, detections = solved(recording(1)[1]), recording(2)[1]
-    with pytest.raises(ValueError, match="brown4, the calibration's brown5"):
+    with pytest.raises(DataError, match="brown4, the calibration's brown5"):
         solved(detections, model="brown5", prior=earlier)
     smaller = replace(detections, left_size_wh=(2000, 1500))
-    with pytest.raises(ValueError, match="left images"):
+    with pytest.raises(DataError, match="left images"):
         solved(smaller, prior=earlier)
-    with pytest.raises(ValueError, match="metres"):
+    with pytest.raises(DataError, match="metres"):
         solved(replace(detections, is_metric=False), prior=earlier)
     assert solved(detections, model="auto", prior=earlier).rig.left.model == "brown4"
 
@@ -222,3 +223,10 @@ def test_a_models_weak_prior_does_not_count_again():
     assert all(camera.prior_precision.any() for camera in problem.cameras)
     left_only = RigPrior.from_calibration(before, parts=("left",)).applied(problem)
     assert not left_only.cameras[0].prior_precision.any() and left_only.cameras[1].prior_precision.any()
+
+
+@pytest.mark.usefixtures("unchecked_types")
+def test_a_prior_that_is_none_is_refused():
+    _, detections = recording(0, 6)
+    with pytest.raises(TypeError, match="StereoCalibration or a RigPrior"):
+        solved(detections, prior="rig.json")

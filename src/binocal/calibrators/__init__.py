@@ -48,8 +48,8 @@ def calibrate(
     ``RigPrior.from_calibration(earlier, held=("left", "right"))``). Same input and seed, same result.
 
     Raises:
-        ValueError: An option is unknown, or the prior is about other cameras.
-        DataError: The corners cannot be used.
+        ValueError: An option is unknown.
+        DataError: The corners cannot be used, or the prior is about other cameras.
         CalibrationError: No trustworthy rig follows from them; the text names the cause.
         CancelledError: ``should_stop`` returned True.
     """
@@ -57,6 +57,8 @@ def calibrate(
     if prior is not None:
         from binocal.solvers.prior import RigPrior
 
+        if not isinstance(prior, RigPrior | StereoCalibration):
+            raise TypeError(f"a prior is a StereoCalibration or a RigPrior of one; got {type(prior).__name__}")
         known = prior if isinstance(prior, RigPrior) else RigPrior.from_calibration(prior)
     request = CalibrationRequest(model, skew, seed, max_views, options or {}, progress, should_stop, known)
     return calibrate_as_requested(evidence, request, calibrator=calibrator)

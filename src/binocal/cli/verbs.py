@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from binocal import __version__
 from binocal.cli.exits import BELOW_QUALITY, FINE
 from binocal.threads import n_threads, set_threads
+
+if TYPE_CHECKING:
+    from binocal.solvers.prior import RigPrior
 
 app = typer.Typer(
     add_completion=False,
@@ -137,6 +140,22 @@ def calibrate(
         Model, typer.Option("--model", help="Camera model; auto picks by held-out error.", metavar=MODELS)
     ] = Model.auto,
     skew: Annotated[bool, typer.Option("--skew", help="Estimate the skew of both cameras.")] = False,
+    prior: Annotated[
+        Path | None,
+        typer.Option(
+            "--prior",
+            help="An earlier calibration of the rig, which counts along with its covariance.",
+            metavar="RIG.JSON",
+        ),
+    ] = None,
+    hold: Annotated[
+        str | None,
+        typer.Option(
+            "--hold",
+            help="What of the prior is exact: left,right (known intrinsics), rotation, translation, left.fx, ...",
+            metavar="NAMES",
+        ),
+    ] = None,
     preprocess: Annotated[
         bool, typer.Option("--preprocess", help="Filter the images and strengthen their edges first.")
     ] = False,
@@ -181,8 +200,9 @@ def calibrate(
             check_output(path, force=force)
     if opencv is not None:
         check_opencv_output(opencv, force=force)
+    known = _read_prior(prior, hold or "", model.value)
     with progress_on_terminal() as progress:
-        request = verbs.CalibrationRequest(model.value, skew, seed, max_views, progress=progress)
+        request = verbs.CalibrationRequest(model.value, skew, seed, max_views, progress=progress, prior=known)
         run = verbs.calibrate_images(left, right, parsed, request, calibrator=calibrator, preprocess=preprocess)
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     if evidence is not None:
@@ -388,6 +408,25 @@ def _parse_board(spec: str) -> Any:
         return load_board(spec)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
+
+
+def _read_prior(path: Path | None, hold: str, model: str) -> RigPrior | None:
+    """The prior that ``--prior`` and ``--hold`` name."""
+    held = [name.strip() for name in hold.split(",") if name.strip()]
+    if path is None:
+        if held:
+            raise typer.BadParameter("--hold says what of a prior is exact; name the prior with --prior.")
+        return None
+    from binocal.formats.rig_json import read_calibration
+    from binocal.solvers.prior import RigPrior
+
+    earlier = read_calibration(path)
+    if model not in ("auto", earlier.rig.left.model):
+        raise typer.BadParameter(f"the prior's cameras are {earlier.rig.left.model}; leave out --model, or name that.")
+    try:
+        return RigPrior.from_calibration(earlier, held=held)
+    except ValueError as error:
+        raise typer.BadParameter(f"--prior, --hold: {error}.") from None
 
 
 def _check_calibrator(name: str) -> None:

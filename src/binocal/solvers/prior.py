@@ -14,6 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig, camera_model
+from binocal.errors import DataError
 from binocal.geometry import SE3, so3
 from binocal.result import Covariance, StereoCalibration
 from binocal.shapes import Float
@@ -80,20 +81,20 @@ class RigPrior(ArrayValue):
         """See that it is about such cameras.
 
         Raises:
-            ValueError: Camera model, image sizes or the unit of length are others.
+            DataError: Camera model, image sizes or the unit of length are others.
         """
         for side, size in zip(SIDES, size_wh, strict=True):
             camera = getattr(self.rig, side)
             if camera.model != model:
-                raise ValueError(
-                    f"the prior's {side} camera is {camera.model}, the calibration's {model}; they must agree"
+                raise DataError(
+                    f"the prior's {side} camera is {camera.model}, the calibration's {model}; they must agree."
                 )
             if camera.size_wh != tuple(size):
-                raise ValueError(
-                    f"the prior's {side} images are {camera.size_wh} pixels, the calibration's {tuple(size)}"
+                raise DataError(
+                    f"the prior's {side} images are {camera.size_wh} pixels, the calibration's {tuple(size)}."
                 )
         if self.rig.is_metric != is_metric:
-            raise ValueError("only one of the prior and the board is in metres")
+            raise DataError("only one of the prior and the board is in metres.")
 
     def applied(self, problem: BundleProblem) -> BundleProblem:
         """The problem with this prior: a term more, what is held no longer free.
