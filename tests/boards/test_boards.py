@@ -1,11 +1,13 @@
 """Board specifications and point orders."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from binocal.boards import Board, load_board, parse_board
+from binocal.boards import Board, format_board, load_board, parse_board
 from binocal.errors import FormatError
 
 
@@ -117,6 +119,7 @@ def test_other_bad_board_files_are_named(text, words, tmp_path):
     assert "bad.yaml" in str(caught.value) and "\n" not in str(caught.value)
 
 
+@settings(max_examples=200, derandomize=True)
 @given(st.text(alphabet="chesboardurcilgp:x0123456789.m ", max_size=24))
 def test_any_text_is_a_board_or_one_clear_line(text):
     try:
@@ -125,3 +128,30 @@ def test_any_text_is_a_board_or_one_clear_line(text):
         assert str(error) and "\n" not in str(error)
     else:
         assert board.columns >= 1 and board.rows >= 1 and len(board.object_points_m) > 0
+
+
+LENGTHS = st.floats(1e-3, 2.0).map(lambda metres: round(metres, 6))
+
+
+@st.composite
+def boards(draw):
+    """A board of any kind that a SPEC can say."""
+    kind = draw(st.sampled_from(("chessboard", "charuco", "aprilgrid", "circles", "acircles")))
+    columns, rows = draw(st.integers(2, 20)), draw(st.integers(3, 20))
+    pitch_m, is_metric = draw(LENGTHS), draw(st.booleans()) if kind != "charuco" else True
+    given_board = {"is_metric": is_metric}
+    if kind == "charuco":
+        given_board |= {"marker_m": round(pitch_m * draw(st.floats(0.3, 0.9)), 7), "dictionary": "DICT_5X5_50"}
+    if kind == "aprilgrid":
+        given_board |= {"dictionary": "tag36h11", "tag_gap_ratio": round(draw(st.floats(0.1, 0.9)), 3)}
+    return Board(kind, columns, rows, pitch_m if is_metric else 1.0, **given_board)
+
+
+@settings(max_examples=100, derandomize=True)
+@given(boards())
+def test_every_board_is_said_by_its_spec(board):
+    said = parse_board(format_board(board))
+    assert replace(said, pitch_m=board.pitch_m, marker_m=board.marker_m) == board
+    assert said.pitch_m == pytest.approx(board.pitch_m, rel=1e-9) and said.marker_m == pytest.approx(
+        board.marker_m, rel=1e-9
+    )

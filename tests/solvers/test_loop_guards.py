@@ -281,3 +281,50 @@ def test_the_true_rig_stays_where_it_is():
     minimum = minimize(problem, start)
     assert minimum.is_converged
     assert so3.angle_rad(minimum.estimate.T_right_left.R @ start.T_right_left.R.T) < 1e-3
+
+
+def far_state(mad_px=30.0, turn_rad=0.0, shift_share=0.0):
+    """A state whose rig would take that step."""
+    problem, start = make_case(2, turn_deg=5.0)
+    state = begin(problem, start, "hampel", mad_px)
+    shared = state.newton.shared.copy()
+    shared[-6:] = [0.0, turn_rad, 0.0, shift_share * np.linalg.norm(start.T_right_left.t), 0.0, 0.0]
+    return with_newton(state, shared=shared, predicted_px2=np.asarray(1e9))
+
+
+@pytest.mark.parametrize(
+    ("given", "is_over"),
+    [
+        ({"turn_rad": 0.011}, False),
+        ({"turn_rad": 0.009}, True),
+        ({"shift_share": 0.11}, False),
+        ({"shift_share": 0.09}, True),
+        ({"turn_rad": 0.5, "shift_share": 0.5, "mad_px": 21.0}, False),
+        ({"turn_rad": 0.5, "shift_share": 0.5, "mad_px": 19.0}, True),
+    ],
+    ids=["turn", "short turn", "shift", "short shift", "bad fit", "good fit"],
+)
+def test_the_agent_is_asked_while_the_fit_is_bad_and_the_next_step_long(given, is_over):
+    phase = FarPhase()
+    assert phase.is_over(far_state(**given)) == is_over and phase.fallback_reason == ""
+
+
+def test_singular_equations_and_an_impossible_start_end_the_phase():
+    for spoiled in (
+        with_newton(far_state(turn_rad=0.5), predicted_px2=np.asarray(np.nan)),
+        replace(far_state(turn_rad=0.5), cost_px2=np.asarray(np.inf)),
+    ):
+        phase = FarPhase()
+        assert phase.is_over(spoiled) and "singular or the start is impossible" in phase.fallback_reason
+
+
+def test_a_start_within_twenty_pixels_costs_no_more_than_without_a_controller(monkeypatch):
+    problem, start = make_case(turn_deg=8.0)
+
+    def begun(*arguments, **options):
+        raise AssertionError("the far phase was begun")
+
+    monkeypatch.setattr("binocal.solvers.controlled.begin", begun)
+    with pytest.raises(AssertionError, match="begun"):
+        minimize_controlled(problem, start, NeverAsked(), scale_px=np.asarray(21.0))
+    assert minimize_controlled(problem, start, NeverAsked(), scale_px=np.asarray(19.0)).controlled == ()
