@@ -30,14 +30,17 @@ class Sampling:
 _jaxtyped = jaxtyping.jaxtyped
 
 
-def _sampled(plain: Callable[..., Any], checking: Callable[..., Any]) -> Callable[..., Any]:
-    n_calls = 0
+def _sampled(plain: Callable[..., Any], decorate: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
+    """``plain`` with its first calls checked, then every some; ``decorate`` makes the checking form when it is first needed."""
+    n_calls, checking = 0, None
 
     @functools.wraps(plain)
     def call(*args: Any, **kwargs: Any) -> Any:
-        nonlocal n_calls
+        nonlocal n_calls, checking
         n_calls += 1
         if n_calls <= CHECKED_AT_FIRST or n_calls % THEN_EVERY == 0 or not Sampling.is_on:
+            if checking is None:
+                checking = decorate()
             return checking(*args, **kwargs)
         return plain(*args, **kwargs)
 
@@ -52,10 +55,12 @@ def jaxtyped(*, typechecker: Any) -> Callable[[Any], Any]:
             plain = target.__init__
             decorated = _jaxtyped(typechecker=typechecker)(target)
             if decorated.__init__ is not plain:
-                decorated.__init__ = _sampled(plain, decorated.__init__)
+                checking = decorated.__init__
+                decorated.__init__ = _sampled(plain, lambda: checking)
             return decorated
-        decorated = _jaxtyped(typechecker=typechecker)(target)
-        return _sampled(target, decorated) if inspect.isfunction(target) else decorated
+        if not inspect.isfunction(target):
+            return _jaxtyped(typechecker=typechecker)(target)
+        return _sampled(target, lambda: _jaxtyped(typechecker=typechecker)(target))
 
     return decorate
 

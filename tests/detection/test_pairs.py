@@ -88,7 +88,9 @@ def test_left_and_right_may_differ_in_size(folder):
     assert found.detections.right_size_wh == (960, 720) and "640x480, right ones 960x720" in found.notes[-1]
 
 
-@pytest.mark.parametrize("spec", ["chessboard:6x5:30mm", "chessboard:8x6:30mm", "chessboard:9x7:30mm"])
+@pytest.mark.parametrize(
+    "spec", ["chessboard:6x5:30mm", "chessboard:8x6:30mm", pytest.param("chessboard:9x7:30mm", marks=pytest.mark.slow)]
+)
 def test_a_wrong_size_ends_with_the_right_one(folder, spec):
     with pytest.raises(DetectionError, match=r"found in none of 8 images .*did you mean chessboard:7x6\?") as caught:
         detect_pairs(pairs_in(folder), parse_board(spec))

@@ -52,6 +52,7 @@ def test_without_a_bound_the_ratio_is_not_a_number(scene_and_bound):
     assert all(np.isnan(c.bound) and np.isnan(c.ratio) for c in criteria)
 
 
+@pytest.mark.slow
 def test_drawn_rigs_have_the_covariance(scene_and_bound):
     scene, bound = scene_and_bound
     rigs = draw_rigs(scene.rig, bound, 2000, np.random.default_rng(4))

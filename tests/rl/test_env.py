@@ -138,7 +138,7 @@ def test_arrival_terminates_and_time_truncates():
     assert ends == [(False, False), (False, False), (False, True)]
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("mode", ["NextStep", pytest.param("SameStep", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
 def test_the_vector_form_is_the_single_form_n_times(mode, kind):
     options = {"kind": kind, "max_episode_steps": 5, **FEW}

@@ -69,7 +69,9 @@ def _compare(rig, board, T, point, sigma_px, per_pixel, shading=(0.0, 0.0), exte
 
 # measured: grey 0.005 to 0.05 of 180 levels, shift 1e-5 to 1.5e-4 px; with twice the points per pixel the same
 @pytest.mark.parametrize("model", ["brown4", "brown5", "brown8", "fisheye4"])
-@pytest.mark.parametrize(("sigma_px", "per_pixel"), [(0.4, 32), (0.8, 20), (1.6, 12)])
+@pytest.mark.parametrize(
+    ("sigma_px", "per_pixel"), [pytest.param(0.4, 32, marks=pytest.mark.slow), (0.8, 20), (1.6, 12)]
+)
 def test_grey_values_around_corners_are_those_of_brute_force(model, sigma_px, per_pixel):
     rng = np.random.default_rng(11)
     rig = random_rig(rng, model, size_wh=(640, 480))

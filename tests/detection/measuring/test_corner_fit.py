@@ -96,6 +96,7 @@ def test_few_corners_are_fitted_without_their_neighbours(shoot):
     assert np.isnan(nowhere.points_px).all() and np.isnan(nowhere.covariance_px2).all()
 
 
+@pytest.mark.slow
 def test_a_shadows_border_is_not_taken_for_the_boards_light(shoot):
     scores = []
     for seed in range(6):

@@ -49,7 +49,7 @@ def finished(options, pools):
     return training
 
 
-@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
+@pytest.mark.parametrize("kind", [AgentKind.DRL, pytest.param(AgentKind.DRL_INCREMENTS, marks=pytest.mark.slow)])
 def test_the_same_seed_gives_the_same_weights_and_another_other_ones(pools, kind):
     options = replace(OPTIONS, kind=kind)
     first, second = finished(options, pools), finished(options, pools)
