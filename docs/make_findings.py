@@ -33,6 +33,14 @@ EXPLANATIONS = {
         boards tell the two apart, and different tilts tell more. The refusal comes at 5 %, where distances measured by the
         rig would be wrong by as much; parallel views are refused earlier, since their small standard deviation rests on the
         lens model alone.""",
+    "prior-contradicted": """
+        The views are fitted once with the prior and once without it. How much worse the fit becomes, and how far the rig is
+        moved from the prior, is compared with the noise and with the prior's standard deviations. At five standard deviations
+        over all its parameters one of the two is wrong: the rig was dropped, refocused or mounted anew, or the prior is of
+        another rig. What is held exactly counts as well.""",
+    "prior-doubtful": """
+        As for a contradicted prior, but less: by chance it happens once in ten thousand calibrations of a rig that has not
+        changed. On real rigs stated standard deviations are often too small, which shows in the same way.""",
     "principal-point-impossible": """
         The principal point is where the optical axis meets the image; lenses are mounted within a few percent of the middle.
         A solve that puts it far away, and is sure of it, has explained something else by it: boards that stayed in one part

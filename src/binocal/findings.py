@@ -135,6 +135,12 @@ _KINDS = (
         "fewer measurements than unknowns; {remedy}.",
         "add views or corners", DegenerateGeometryError,
     ),
+    FindingKind(
+        "prior-contradicted", _R, "The prior and the new views are not of one rig",
+        "the prior contradicts the views: over its {n_parameters} parameters they differ by {difference_sigma:.1f} standard "
+        "deviations (RMS); {remedy}.",
+        "calibrate without it, or let it inform only of what has not changed (parts)", InconsistentViewsError,
+    ),
     # --- views that no rig can be solved from
     FindingKind(
         "too-few-views", _R, "Too few usable views",
@@ -233,6 +239,12 @@ _KINDS = (
     FindingKind(
         "start-simplified", _W, "The closed-form start had to do with fewer parameters",
         "{camera} camera: {note}.", "",
+    ),
+    FindingKind(
+        "prior-doubtful", _W, "The prior and the new views differ by more than chance",
+        "the prior and the views differ by {difference_sigma:.1f} standard deviations (RMS over {n_parameters} parameters), more "
+        "than chance explains: the rig has changed, or the stated standard deviations are too small; {remedy}.",
+        "compare with a calibration without the prior",
     ),
     FindingKind(
         "corners-without-weight", _W, "More corners than usual were given no weight",

@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from binocal import acceptance
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
+from binocal.calibrators.prior_check import check_disagreement, disagreement
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
@@ -80,6 +81,7 @@ def calibrate_jointly(
         start = _start(diagnosis, used) if start is None else start
         problem, minimum, misfit_px, n = solve_with_misfit(views, request, start, partial(_solve, minimizer))
         n_iterations += n
+        doubts = _check_prior(views, request, _start(diagnosis, used), (problem, minimum))
         bad = _contradicting(views, problem, minimum) if minimum.is_converged else {}
         if not bad:
             break
@@ -95,7 +97,7 @@ def calibrate_jointly(
         request,
         rejected=rejected,
         notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
-        findings=diagnosis.findings,
+        findings=(*doubts, *diagnosis.findings),
         n_iterations=n_iterations,
         misfit_px=misfit_px,
     )
@@ -136,6 +138,8 @@ def _calibrate_clean(
     )
     if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
         return None
+    if _check_prior(detections, request, estimate, (problem, minimum)):
+        return None
     try:
         calibration = summarize(
             detections,
@@ -153,6 +157,24 @@ def _calibrate_clean(
     # The rules about the fit ask for less than the proof does.
     doubts = acceptance.findings_of_rules(calibration, (*acceptance.OBSERVABILITY, *acceptance.OUTLIERS))
     return calibration if not doubts and acceptance.is_beyond_doubt(calibration) else None
+
+
+def _check_prior(
+    views: Detections,
+    request: CalibrationRequest,
+    start: BundleEstimate,
+    known: tuple[BundleProblem, BundleMinimum],
+) -> tuple[Finding, ...]:
+    """What there is to say of a prior beside these views, which are solved without it for that; ``known`` is the solve with it.
+
+    Raises:
+        InconsistentViewsError: The prior is not of this rig.
+    """
+    if request.prior is None:
+        return ()
+    request.check_stop()
+    problem, minimum, _, _ = solve_with_misfit(views, replace(request, prior=None), start, partial(_solve, minimize))
+    return check_disagreement(disagreement(request.prior, known, (problem, minimum)))
 
 
 def _fits_evenly(problem: BundleProblem, minimum: BundleMinimum, homography_px: float) -> bool:

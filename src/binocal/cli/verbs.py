@@ -200,7 +200,7 @@ def calibrate(
             check_output(path, force=force)
     if opencv is not None:
         check_opencv_output(opencv, force=force)
-    known = _read_prior(prior, hold or "", model.value)
+    known = _read_prior(prior, hold, model.value)
     with progress_on_terminal() as progress:
         request = verbs.CalibrationRequest(model.value, skew, seed, max_views, progress=progress, prior=known)
         run = verbs.calibrate_images(left, right, parsed, request, calibrator=calibrator, preprocess=preprocess)
@@ -410,9 +410,11 @@ def _parse_board(spec: str) -> Any:
         raise typer.BadParameter(str(error)) from None
 
 
-def _read_prior(path: Path | None, hold: str, model: str) -> RigPrior | None:
+def _read_prior(path: Path | None, hold: str | None, model: str) -> RigPrior | None:
     """The prior that ``--prior`` and ``--hold`` name."""
-    held = [name.strip() for name in hold.split(",") if name.strip()]
+    held = [] if hold is None else [name.strip() for name in hold.split(",")]
+    if "" in held:
+        raise typer.BadParameter(f"--hold {hold!r} has an empty name; give names with commas between them.")
     if path is None:
         if held:
             raise typer.BadParameter("--hold says what of a prior is exact; name the prior with --prior.")

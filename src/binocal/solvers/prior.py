@@ -43,6 +43,14 @@ class RigPrior(ArrayValue):
         information = frozen_array(self.information)
         if information.shape != (len(self.names),) * 2:
             raise ValueError(f"{len(self.names)} names for an information of shape {information.shape}")
+        size = np.sqrt(np.abs(np.diag(information)))
+        scaled = information / np.maximum(np.outer(size, size), 1e-300)
+        if (
+            not np.isfinite(information).all()
+            or np.abs(scaled - scaled.T).max(initial=0) > 1e-6
+            or np.linalg.eigvalsh(scaled).min(initial=0) < -1e-6
+        ):
+            raise ValueError("the information of a prior must be finite, symmetric and not negative")
         object.__setattr__(self, "information", information)
 
     @classmethod
@@ -65,6 +73,7 @@ class RigPrior(ArrayValue):
         Raises:
             ValueError: A part or name is unknown, or the covariance of what is not held is singular.
         """
+        held, parts = ((given,) if isinstance(given, str) else tuple(given) for given in (held, parts))
         held_names = _held_names(rig, held)
         for part in parts:
             if part not in PARTS:
