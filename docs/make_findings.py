@@ -17,7 +17,7 @@ WIDTH = 100
 HEADINGS = {
     Severity.REFUSAL: "Refusals: there is no result",
     Severity.WARNING: "Warnings: there is a result with a weakness",
-    Severity.NOTE: "Notes on views: left out or repaired",
+    Severity.NOTE: "Notes: left out, repaired, or measured along",
 }
 
 EXPLANATIONS = {
@@ -112,6 +112,11 @@ EXPLANATIONS = {
     "corners-without-weight": """
         A few wild corners per thousand are usual. More come from reflections, a covered board, motion blur, or a lens model
         that does not follow the lens into the corners of the image.""",
+    "board-not-as-drawn": """
+        No print is flat and to size. A bow or a stretch that the board was not drawn with moves corners alike in all views, so
+        it can be separated from the cameras, and binocal estimates every point of the board along with the rig. The note comes
+        where bow or stretch exceed three of their standard deviations and move corners by more than half of the noise. Only
+        the scale of the print remains unknown: over all of its points it is taken for that of the drawing.""",
     "model-choice-weak": """
         Camera models are compared by their error on views that were held out. With fewer than six views nothing can be held
         out, and the Bayesian information criterion decides.""",

@@ -255,6 +255,13 @@ _KINDS = (
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",
         "camera model: {reason}.", "",
     ),
+    FindingKind(
+        "board-not-as-drawn", _N, "The board is bent or stretched, and was measured along with the rig",
+        "the board is not as drawn: it bows by {bow:.2f} ± {bow_sigma:.2f} {unit} and is {stretch_percent:+.3f} ± "
+        "{stretch_sigma_percent:.3f} % longer along x than along y, which moves corners by up to {moves_px:.2f} px; this was "
+        "measured along with the rig and does not harm it: {remedy}.",
+        "reuse the board with --board-file, or mount it on something flat and stiff",
+    ),
     # --- views
     FindingKind("view-without-corners", _N, "A view without corners", "no corners in either camera", ""),
     FindingKind(

@@ -112,16 +112,72 @@ class RejectedView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BoardShape(ArrayValue):
+    """The board as it is, where it is not as it was drawn: its points in its own frame, with their standard deviations.
+
+    Lengths are metres (board pitches without a scale). ``bow_m`` is the largest less the smallest height above the mean plane,
+    ``stretch`` the relative extension along the board's x less that along y. No image of the board tells its scale: over all its
+    points it is that of the drawing, which holds to ``scale_sigma`` (relative), as far as the print's other errors let one judge;
+    baseline and lengths are uncertain by as much beyond their own standard deviations.
+    """
+
+    points_m: Float[ndarray, "n 3"]
+    sigma_m: Float[ndarray, "n 3"]
+    bow_m: float
+    bow_sigma_m: float
+    stretch: float
+    stretch_sigma: float
+    in_plane_rms_m: float
+    scale_sigma: float
+
+    def __post_init__(self) -> None:
+        for name in ("points_m", "sigma_m"):
+            array = frozen_array(getattr(self, name))
+            if array.ndim != 2 or array.shape[1] != 3:
+                raise ValueError(f"{name} must be (n, 3); got {array.shape}")
+            object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureFit:
+    """Noise of one corner coordinate where each camera is fitted alone and where both are, pixels, with one board shape.
+
+    ``are_apart``: the cameras did not see the board at one moment, and each view's right pose was given a deviation of its own, of
+    standard deviation ``turn_sigma_rad`` and ``shift_sigma_m`` (0 where they are together).
+    """
+
+    alone_px: float
+    pair_px: float
+    are_apart: bool = False
+    turn_sigma_rad: float = 0.0
+    shift_sigma_m: float = 0.0
+
+    @property
+    def ratio(self) -> float:
+        """Pair over alone: 1 where both cameras saw one board in one place."""
+        return self.pair_px / self.alone_px if self.alone_px > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """What a rig was computed from.
 
     The used views with repaired corner orders, the board's pose in each of them, and, where the corners carry
-    covariances, the misfit that was added to them (standard deviation of one coordinate).
+    covariances, the misfit that was added to them (standard deviation of one coordinate). ``board_shape`` is the board as it is,
+    None where it is as drawn; ``T_right_board`` the board's pose in the right camera of each view, None where it is as the rig
+    has it.
     """
 
     detections: Detections
     T_left_board: SE3
     misfit_px: float = 0.0
+    board_shape: BoardShape | None = None
+    T_right_board: SE3 | None = None
+
+    @property
+    def board_points_m(self) -> Float[ndarray, "n 3"]:
+        """The board's points as they are."""
+        return self.detections.object_points_m if self.board_shape is None else self.board_shape.points_m
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -150,13 +206,19 @@ class StereoCalibration:
     """The board's pose in every used view; with evidence, that of the evidence."""
     misfit_px: float | None = None
     """The misfit that the corner weights count, see :class:`Evidence`; None where that is not known."""
+    board_shape: BoardShape | None = None
+    """The board as it is; None where it is as drawn, or was held so."""
+    T_right_board: SE3 | None = None
+    """The board's pose in the right camera of each view where the exposures were apart, see :class:`Evidence`; else None."""
+    exposure: ExposureFit | None = None
+    """How each camera alone fits against the pair; None where that is not known."""
     extra: Mapping[str, Any] = field(default_factory=dict)
     """What the file that it was read from says beyond this class, by key; written back as it is."""
 
     def __post_init__(self) -> None:
         if self.evidence is not None:
-            object.__setattr__(self, "T_left_board", self.evidence.T_left_board)
-            object.__setattr__(self, "misfit_px", self.evidence.misfit_px)
+            for name in ("T_left_board", "misfit_px", "board_shape", "T_right_board"):
+                object.__setattr__(self, name, getattr(self.evidence, name))
 
     def __repr__(self) -> str:
         rig, sigma = self.rig, self.covariance.sigma
@@ -215,7 +277,8 @@ class StereoCalibration:
         }
         used = used.reorder("left", orders["left"]).reorder("right", orders["right"])
         self._check_residuals(used)
-        return replace(self, evidence=Evidence(used, self.T_left_board, self.misfit_px or 0.0))
+        evidence = Evidence(used, self.T_left_board, self.misfit_px or 0.0, self.board_shape, self.T_right_board)
+        return replace(self, evidence=evidence)
 
     def _used_views(self, detections: Detections) -> Detections:
         """The used views of detections that fit the rig's images and units."""
@@ -242,14 +305,20 @@ class StereoCalibration:
     def _check_residuals(self, used: Detections) -> None:
         """Raises DataError: a view's corners are not as many, or not as far from their predictions, as the calibration says."""
         assert self.T_left_board is not None  # with_evidence asked before
-        in_left = self.T_left_board.apply(used.object_points_m)
+        points = used.object_points_m if self.board_shape is None else self.board_shape.points_m
+        if len(points) != len(used.object_points_m):
+            raise DataError(f"{_NOT_THESE}: the board has {len(used.object_points_m)} points, not {len(points)}.")
+        in_left = self.T_left_board.apply(points)
+        in_right = (
+            self.rig.T_right_left.apply(in_left) if self.T_right_board is None else self.T_right_board.apply(points)
+        )
         n_seen = used.left_is_seen.sum(axis=1) + used.right_is_seen.sum(axis=1)
         for i, view in enumerate(self.views):
             if n_seen[i] != view.n_corners:
                 raise DataError(f"{_NOT_THESE}: view {view.name} has {n_seen[i]} corners instead of {view.n_corners}.")
         for side, camera, points, px in (
             ("left", self.rig.left, in_left, used.left_px),
-            ("right", self.rig.right, self.rig.T_right_left.apply(in_left), used.right_px),
+            ("right", self.rig.right, in_right, used.right_px),
         ):
             r2 = np.square(px - camera.project(points)).sum(axis=-1)
             for i, view in enumerate(self.views):

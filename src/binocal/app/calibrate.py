@@ -8,12 +8,17 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from binocal.app.corners import explained, find_corners
 from binocal.boards import Board
 from binocal.calibrators.base import CalibrationRequest
+from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.formats import rig_json
-from binocal.result import StereoCalibration
+from binocal.result import BoardShape, StereoCalibration
+
+SAME_BOARD_SHARE = 0.05  # of the board's size; prints are off by 1 %, bows by 2 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,11 +44,14 @@ def calibrate_images(
     *,
     calibrator: str = "drl",
     preprocess: bool = False,
+    measured_board: BoardShape | None = None,
 ) -> CalibrationRun:
     """Calibrate from the images that two globs or folders name; ``preprocess`` strengthens their edges first.
 
+    With ``measured_board``, the shape that an earlier calibration found of this very board, its points take the drawing's place.
+
     Raises:
-        DataError: The images cannot be used.
+        DataError: The images cannot be used, or the measured board is another one.
         CalibrationError: No trustworthy rig follows from them.
         CancelledError: ``request.should_stop`` returned True.
     """
@@ -55,6 +63,8 @@ def calibrate_images(
         found = find_corners(left, right, board, preprocess, request.progress, request.should_stop)
         calibrate = loading.result()
     detections = replace(found.detections, board_spec=rig_json.format_board(board))
+    if measured_board is not None:
+        detections = _on_measured_board(detections, measured_board)
     detected = time.perf_counter()
     inputs = {
         "opencv": _opencv_version(),
@@ -70,6 +80,23 @@ def calibrate_images(
     notes = (*found.notes, f"{choice['reason']}.") if choice else found.notes
     elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
     return CalibrationRun(calibration, detections, found.ignored, notes, elapsed_s)
+
+
+def _on_measured_board(detections: Detections, shape: BoardShape) -> Detections:
+    """The detections of a board whose points were measured before."""
+    drawn, measured = detections.object_points_m, shape.points_m
+    if len(drawn) != len(measured):
+        raise DataError(
+            f"the measured board has {len(measured)} points, the board given {len(drawn)}: they are not the same."
+        )
+    size = float(np.ptp(drawn, axis=0).max())
+    away = float(np.linalg.norm(measured - drawn, axis=1).max())
+    if away > SAME_BOARD_SHARE * size:
+        raise DataError(
+            f"the measured board is another one: a point lies {100 * away / size:.0f} % of the board's size from where the board "
+            "given has it; give the SPEC of the board that was measured."
+        )
+    return replace(detections, object_points_m=measured)
 
 
 def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:

@@ -6,7 +6,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest, Calibrator, ProgressCallback, ShouldStop
+from binocal.calibrators.base import (
+    MIN_VIEWS,
+    BoardShapeChoice,
+    CalibrationRequest,
+    Calibrator,
+    ExposureChoice,
+    ProgressCallback,
+    ShouldStop,
+)
 from binocal.calibrators.registry import CALIBRATORS, known_calibrators, load_calibrator
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
@@ -36,6 +44,8 @@ def calibrate(
     progress: ProgressCallback | None = None,
     should_stop: ShouldStop | None = None,
     prior: StereoCalibration | RigPrior | None = None,
+    board_shape: BoardShapeChoice = "auto",
+    exposure: ExposureChoice = "auto",
 ) -> StereoCalibration:
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
@@ -45,7 +55,9 @@ def calibrate(
     calibrator's own. ``progress(what, done, total)`` is called and ``should_stop()`` asked as the work goes on.
     ``prior`` is an earlier calibration of the rig: its covariance counts as information beside the corners. A
     :class:`binocal.RigPrior` of it says what it informs of, and which parts are held exactly (known intrinsics:
-    ``RigPrior.from_calibration(earlier, held=("left", "right"))``). Same input and seed, same result.
+    ``RigPrior.from_calibration(earlier, held=("left", "right"))``). ``board_shape`` says whether the board is as drawn
+    (``flat``), bowed, stretched and sheared (``warp``), of any shape (``free``), or what the views say (``auto``); ``exposure``
+    whether both cameras saw each view at one moment (``together``) or not (``apart``). Same input and seed, same result.
 
     Raises:
         ValueError: An option is unknown.
@@ -60,7 +72,9 @@ def calibrate(
         if not isinstance(prior, RigPrior | StereoCalibration):
             raise TypeError(f"a prior is a StereoCalibration or a RigPrior of one; got {type(prior).__name__}")
         known = prior if isinstance(prior, RigPrior) else RigPrior.from_calibration(prior)
-    request = CalibrationRequest(model, skew, seed, max_views, options or {}, progress, should_stop, known)
+    request = CalibrationRequest(
+        model, skew, seed, max_views, options or {}, progress, should_stop, known, board_shape, exposure
+    )
     return calibrate_as_requested(evidence, request, calibrator=calibrator)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 from binocal.errors import CancelledError
 from binocal.evidence import Detections
@@ -12,6 +12,8 @@ from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import StereoCalibration
 from binocal.solvers.prior import RigPrior
 
+BoardShapeChoice = Literal["auto", "flat", "warp", "free"]
+ExposureChoice = Literal["auto", "together", "apart"]
 MIN_VIEWS = 3  # two views determine four intrinsics and leave nothing to check them with
 
 
@@ -23,6 +25,9 @@ class CalibrationRequest:
     only ever asked for a named one. ``seed`` feeds every random choice. With ``max_views`` only the views that determine depth best
     are used, at most so many. ``options`` are the method's own; one that it does not know is an error.
     ``prior`` is what is known of the rig before, part of it held exactly.
+    ``board_shape``: whether the board is as drawn (``flat``), bowed, stretched and sheared (``warp``), any (``free``), or what the
+    views say (``auto``). ``exposure``: whether both cameras saw each view at one moment (``together``), not (``apart``), or what the
+    views say.
     """
 
     model: str = "auto"
@@ -33,8 +38,13 @@ class CalibrationRequest:
     progress: ProgressCallback | None = None
     should_stop: ShouldStop | None = None
     prior: RigPrior | None = None
+    board_shape: BoardShapeChoice = "auto"
+    exposure: ExposureChoice = "auto"
 
     def __post_init__(self) -> None:
+        for name, choices in (("board_shape", BoardShapeChoice), ("exposure", ExposureChoice)):
+            if getattr(self, name) not in get_args(choices):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; it can be {', '.join(get_args(choices))}")
         if self.max_views is not None and self.max_views < MIN_VIEWS:
             raise ValueError(f"max_views is {self.max_views}; a calibration needs at least {MIN_VIEWS} views")
         object.__setattr__(self, "options", dict(self.options))

@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from binocal import acceptance
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
+from binocal.calibrators.board_and_exposures import RealViewsSolve, solve_real_views
 from binocal.calibrators.prior_check import check_disagreement, disagreement
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
@@ -34,6 +35,7 @@ from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
+EXACT_SCALES = 1.5  # of the floor of the kernel's scale: corners without noise
 MISFIT_ROUNDS = 3  # the second usually finds nothing to change
 MISFIT_SHARE = 0.1  # of the noise variance; less changes the weights by too little to matter
 
@@ -90,10 +92,10 @@ def calibrate_jointly(
         start = replace(minimum.estimate, T_left_board=minimum.estimate.T_left_board[keep])
         used = used[keep]
 
+    solve = _as_they_were(problem, minimum, request)
     calibration = summarize(
         views,
-        problem,
-        minimum,
+        solve,
         request,
         rejected=rejected,
         notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
@@ -101,7 +103,18 @@ def calibrate_jointly(
         n_iterations=n_iterations,
         misfit_px=misfit_px,
     )
-    return acceptance.apply_rules(calibration, is_converged=bool(minimum.is_converged))
+    return acceptance.apply_rules(calibration, is_converged=bool(solve.minimum.is_converged))
+
+
+def _as_they_were(problem: BundleProblem, minimum: BundleMinimum, request: CalibrationRequest) -> RealViewsSolve:
+    """The minimum with board and exposures freed as the request and the data say; exact corners are of an exact board."""
+    request.check_stop()
+    is_exact = bool(minimum.scale_px <= EXACT_SCALES * robust.SCALE_FLOOR_PX)
+    board_shape, exposure = request.board_shape, request.exposure
+    if is_exact:
+        board_shape = "flat" if board_shape == "auto" else board_shape
+        exposure = "together" if exposure == "auto" else exposure
+    return solve_real_views(problem, minimum, board_shape=board_shape, exposure=exposure)
 
 
 def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
@@ -143,8 +156,7 @@ def _calibrate_clean(
     try:
         calibration = summarize(
             detections,
-            problem,
-            polish_exact(problem, minimum),
+            _as_they_were(problem, polish_exact(problem, minimum), request),
             request,
             rejected=(),
             notes={},

@@ -11,13 +11,16 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest
+from binocal.calibrators.board_and_exposures import RealViewsSolve, inliers
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
-from binocal.findings import Finding
+from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3
 from binocal.result import (
+    BoardShape,
     Covariance,
     Evidence,
+    ExposureFit,
     OutlierCorner,
     RejectedView,
     ResidualSummary,
@@ -25,9 +28,14 @@ from binocal.result import (
     ViewResult,
 )
 from binocal.shapes import Bool, Float, Int
+from binocal.solvers.board_shape import ShapeModel, describe_shape
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, CameraObservations
-from binocal.solvers.covariance import inliers, residual_noise_px, shared_covariance, shared_names
+from binocal.solvers.covariance import real_covariance, shared_names
+from binocal.solvers.real_views import solve_symmetric
 from binocal.solvers.whitening import CornerWeights
+
+SURE_SIGMAS = 3.0  # of a bow or stretch, to be named
+NOTICEABLE_SHARE = 0.5  # of the corner noise
 
 
 def joint_problem(
@@ -56,7 +64,14 @@ def plain_lengths2(problem: BundleProblem, minimum: BundleMinimum) -> tuple[Floa
     """Squared residual lengths of each camera in pixels, whatever the corners weigh."""
     if problem.is_whitened:
         return problem.unwhitened.residual_lengths2(minimum.estimate)
-    return tuple(e.r2_px2 for e in minimum.equations.cameras)
+    return minimum.equations.r2_px2
+
+
+def _plain_lengths2(solve: RealViewsSolve) -> tuple[Float[ndarray, "views n"], ...]:
+    """The same of the final solve."""
+    if solve.problem.is_whitened:
+        return solve.problem.unwhitened.residual_lengths2(solve.minimum.estimate)
+    return solve.minimum.equations.r2_px2
 
 
 def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> StereoRig:
@@ -71,8 +86,7 @@ def rig_of(estimate: BundleEstimate, detections: Detections, model: str) -> Ster
 
 def summarize(
     detections: Detections,
-    problem: BundleProblem,
-    minimum: BundleMinimum,
+    solve: RealViewsSolve,
     request: CalibrationRequest,
     *,
     rejected: tuple[RejectedView, ...],
@@ -83,32 +97,110 @@ def summarize(
 ) -> StereoCalibration:
     """Rig, covariance, residuals per view, and the corners that were given no weight.
 
-    ``detections`` are the views of ``problem``, in its order; ``notes`` maps a view's name to what was repaired in it.
+    ``detections`` are the views of the problem, in its order; ``notes`` maps a view's name to what was repaired in it.
 
     Raises:
         DegenerateGeometryError: The information matrix is singular, or there are fewer measurements than unknowns.
     """
+    problem, minimum = solve.problem, solve.minimum
+    bundle = minimum.estimate.bundle
+    if not np.isfinite(solve.noise_px):
+        raise refusal(finding("too-few-measurements"))
     used = inliers(problem, minimum)
-    noise_px = residual_noise_px(problem, minimum, used)
-    covariance = shared_covariance(problem, minimum.estimate, minimum.equations, noise_px)
-    lengths2 = plain_lengths2(problem, minimum)
+    covariance, agreement = real_covariance(problem, minimum.estimate, solve.reduced, solve.noise_px)
+    lengths2 = _plain_lengths2(solve)
     sums = np.array([np.where(u, px2, 0.0).sum(axis=1) for u, px2 in zip(used, lengths2, strict=True)])
     counts = np.array([is_used.sum(axis=1) for is_used in used])
-    views = _view_results(detections, problem, lengths2, used, sums, counts, notes)
+    views = _view_results(detections, problem.nominal, lengths2, used, sums, counts, notes)
     left_px, right_px = _rms(sums.sum(axis=1), counts.sum(axis=1))
     all_px = _rms(sums.sum(), counts.sum())
+    T_right_board = problem.camera_poses(minimum.estimate)[1] if problem.deviation_sigma is not None else None
+    board_shape = _board_shape(solve, agreement.factor)
     return StereoCalibration(
-        rig=rig_of(minimum.estimate, detections, request.model),
-        covariance=Covariance(shared_names(problem), covariance),
+        rig=rig_of(bundle, detections, request.model),
+        covariance=Covariance(shared_names(problem.nominal), covariance),
         rms=ResidualSummary(float(left_px), float(right_px), float(all_px)),
-        noise_px=noise_px,
+        noise_px=solve.noise_px,
         views=views,
         rejected=rejected,
-        findings=findings,
-        n_iterations=n_iterations,
-        provenance={"corner_weights": {"covariances": problem.is_whitened, "misfit_px": misfit_px}},
-        evidence=Evidence(detections, SE3(minimum.estimate.T_left_board.R, minimum.estimate.T_left_board.t), misfit_px),
+        findings=(*findings, *_shape_findings(solve, board_shape, detections.is_metric)),
+        n_iterations=n_iterations + solve.n_iterations,
+        provenance={
+            "corner_weights": {"covariances": problem.nominal.is_whitened, "misfit_px": misfit_px},
+            "views_in_common": {
+                "variance_ratio": agreement.excess,
+                "variance_ratio_sigma": agreement.excess_sigma,
+                "sigma_factor": agreement.factor,
+            },
+        },
+        evidence=Evidence(
+            detections,
+            SE3(bundle.T_left_board.R, bundle.T_left_board.t),
+            misfit_px,
+            board_shape,
+            None if T_right_board is None else SE3(T_right_board.R, T_right_board.t),
+        ),
+        exposure=_exposure(solve),
     )
+
+
+def _board_shape(solve: RealViewsSolve, widening: float) -> BoardShape | None:
+    """The board as estimated; its standard deviations are widened as those of the rig are."""
+    problem, reduced = solve.problem, solve.reduced
+    if problem.shape_information is None:
+        return None
+    nominal, points = problem.nominal.object_points, solve.minimum.estimate.points
+    k = reduced.system.n_shared
+    inverse = solve_symmetric(reduced.information, np.eye(len(reduced.information))[:, k:])[k:]
+    covariance = inverse * (solve.noise_px * widening) ** 2
+    figures = describe_shape(nominal, points, covariance)
+    model = ShapeModel.of_points(nominal)
+    scale_variance = 0.0 if solve.shape is None else model.scale_variance(nominal, solve.shape.variances)
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).reshape(3, -1)
+    return BoardShape(
+        points.T,
+        sigma.T,
+        figures.bow,
+        figures.bow_sigma,
+        figures.stretch,
+        figures.stretch_sigma,
+        figures.in_plane_rms,
+        float(np.sqrt(scale_variance)),
+    )
+
+
+def _shape_findings(solve: RealViewsSolve, shape: BoardShape | None, is_metric: bool) -> tuple[Finding, ...]:
+    """A sentence where bow or stretch are beyond doubt and move corners noticeably."""
+    if shape is None:
+        return ()
+    nominal = solve.problem.nominal.object_points
+    half = 0.5 * float(np.ptp(nominal, axis=1).max())
+    is_bent = shape.bow_m > SURE_SIGMAS * shape.bow_sigma_m
+    is_stretched = abs(shape.stretch) > SURE_SIGMAS * shape.stretch_sigma
+    moved = max(shape.bow_m if is_bent else 0.0, abs(shape.stretch) * half if is_stretched else 0.0)
+    bundle = solve.minimum.estimate.bundle
+    distance = float(np.median(np.linalg.norm(bundle.T_left_board.t, axis=1)))
+    moves_px = moved / distance * float(bundle.parameters[0][0])
+    if moves_px < NOTICEABLE_SHARE * solve.noise_px:
+        return ()
+    unit, factor = ("mm", 1e3) if is_metric else ("board pitches", 1.0)
+    return (
+        finding(
+            "board-not-as-drawn",
+            bow=factor * shape.bow_m,
+            bow_sigma=factor * shape.bow_sigma_m,
+            unit=unit,
+            stretch_percent=100 * shape.stretch,
+            stretch_sigma_percent=100 * shape.stretch_sigma,
+            moves_px=moves_px,
+        ),
+    )
+
+
+def _exposure(solve: RealViewsSolve) -> ExposureFit:
+    sigma = solve.problem.deviation_sigma
+    turn, shift = sigma or (0.0, 0.0)
+    return ExposureFit(solve.pair.alone_px, solve.pair.pair_px, sigma is not None, turn, shift)
 
 
 def _rms(total_px2: Float[ndarray, "*n"], count: Int[ndarray, "*n"]) -> Float[ndarray, "*n"]:

@@ -47,6 +47,7 @@ def calibration_text(
     rms = calibration.rms
     lines.append(f"RMS      {rms.left_px:.3f} px left, {rms.right_px:.3f} px right, {rms.all_px:.3f} px together")
     lines.append(f"Corners  noise {calibration.noise_px:.3f} px per coordinate, {_outlier_words(calibration)}")
+    lines += _real_lines(calibration)
     choice = calibration.provenance.get("model_choice")
     if choice:
         lines.append(f"Model    {one_line(choice['reason'])}")
@@ -60,6 +61,30 @@ def calibration_text(
         )
     written = " and ".join(str(path) for path in (output, *beside))
     return "\n".join([*lines, f"Wrote    {written}"])
+
+
+def _real_lines(calibration: StereoCalibration) -> list[str]:
+    """What was found of the board, of the exposures, and of what views have in common."""
+    lines = []
+    shape, exposure = calibration.board_shape, calibration.exposure
+    if shape is not None:
+        unit, factor = calibration.rig.printed_unit
+        lines.append(
+            f"Board    measured along: bow {with_sigma(factor * shape.bow_m, factor * shape.bow_sigma_m)} {unit}, x over y stretched by "
+            f"{with_sigma(100 * shape.stretch, 100 * shape.stretch_sigma)} %; lengths are the drawing's to "
+            f"{100 * shape.scale_sigma:.2g} %"
+        )
+    if exposure is not None and exposure.are_apart:
+        lines.append(
+            f"Exposure not together: each camera alone fits to {exposure.alone_px:.3f} px, the pair to {exposure.pair_px:.3f} px; "
+            "every view's right pose was freed"
+        )
+    factor = calibration.provenance.get("views_in_common", {}).get("sigma_factor", 1.0)
+    if factor > 1:
+        lines.append(
+            f"Sigmas   {factor:.1f} times those of the corner noise: errors are alike within views (delete-one-view jackknife)"
+        )
+    return lines
 
 
 def _agent_lines(calibration: StereoCalibration) -> list[str]:

@@ -37,6 +37,23 @@ class Model(enum.StrEnum):
     fisheye4 = "fisheye4"
 
 
+class BoardShapes(enum.StrEnum):
+    """What the board may be; those of :data:`binocal.calibrators.base.BoardShapeChoice`."""
+
+    auto = "auto"
+    flat = "flat"
+    warp = "warp"
+    free = "free"
+
+
+class Exposures(enum.StrEnum):
+    """When the cameras saw a view; those of :data:`binocal.calibrators.base.ExposureChoice`."""
+
+    auto = "auto"
+    together = "together"
+    apart = "apart"
+
+
 MODELS = "|".join(Model)
 BOARD_HELP = (
     "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
@@ -139,6 +156,31 @@ def calibrate(
     model: Annotated[
         Model, typer.Option("--model", help="Camera model; auto picks by held-out error.", metavar=MODELS)
     ] = Model.auto,
+    board_shape: Annotated[
+        BoardShapes,
+        typer.Option(
+            "--board-shape",
+            help="flat: as drawn; warp: bowed, stretched, sheared; free: any; auto: what the views say.",
+            metavar="SHAPE",
+        ),
+    ] = BoardShapes.auto,
+    board_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--board-file",
+            help="A rig.json, or corners of --evidence, whose calibration measured this very board: its points are used, "
+            "not the drawing's.",
+            metavar="FILE",
+        ),
+    ] = None,
+    exposure: Annotated[
+        Exposures,
+        typer.Option(
+            "--exposure",
+            help="Whether both cameras saw each view at one moment: together, apart, or auto, what the views say.",
+            metavar="WHEN",
+        ),
+    ] = Exposures.auto,
     skew: Annotated[bool, typer.Option("--skew", help="Estimate the skew of both cameras.")] = False,
     prior: Annotated[
         Path | None,
@@ -185,6 +227,7 @@ def calibrate(
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
+    from binocal.formats.board_file import read_measured_board
     from binocal.formats.detections_npz import write_detections
     from binocal.formats.opencv_yaml import check_opencv_output, write_opencv
     from binocal.output import check_output
@@ -201,12 +244,24 @@ def calibrate(
     if opencv is not None:
         check_opencv_output(opencv, force=force)
     known = _read_prior(prior, hold, model.value)
+    measured_board = None if board_file is None else read_measured_board(board_file)
     with progress_on_terminal() as progress:
-        request = verbs.CalibrationRequest(model.value, skew, seed, max_views, progress=progress, prior=known)
-        run = verbs.calibrate_images(left, right, parsed, request, calibrator=calibrator, preprocess=preprocess)
+        request = verbs.CalibrationRequest(
+            model.value,
+            skew,
+            seed,
+            max_views,
+            progress=progress,
+            prior=known,
+            board_shape=board_shape.value,
+            exposure=exposure.value,
+        )
+        run = verbs.calibrate_images(
+            left, right, parsed, request, calibrator=calibrator, preprocess=preprocess, measured_board=measured_board
+        )
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     if evidence is not None:
-        write_detections(evidence, run.detections, force=force)
+        write_detections(evidence, run.detections, board_shape=run.calibration.board_shape, force=force)
     rig_json.write_calibration(output, run.calibration, force=force)
     if opencv is not None:
         write_opencv(opencv, run.calibration.rig, force=force)

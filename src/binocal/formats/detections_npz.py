@@ -3,7 +3,8 @@
 A NumPy archive (``.npz``, readable with ``numpy.load``, nothing pickled) with the arrays of
 :class:`binocal.evidence.Detections` under their own names, as 64-bit floats, and ``header``: UTF-8 bytes of a JSON object with
 ``schema``, ``version``, the views' names, image sizes (width, height), whether object points are metres, and the board's SPEC where it
-is known. The same detections give the same bytes.
+is known. Where the calibration measured the board's shape, ``board_points_m`` and ``board_sigma_m`` hold it, and the header's
+``board_shape`` its figures. The same detections give the same bytes.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import math
 import operator
 import zipfile
 import zlib
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +26,22 @@ from numpy import ndarray
 from binocal.errors import DataError, FormatError
 from binocal.evidence import Detections
 from binocal.output import write_aside
+from binocal.result import BoardShape
 
 SCHEMA, VERSION = "binocal/detections", 1
 HEADER = "header"
 ARRAYS = ("object_points_m", "left_px", "right_px")
 COVARIANCES = ("left_covariance_px2", "right_covariance_px2")
+SHAPE_ARRAYS = ("points_m", "sigma_m")
+SHAPE_FIGURES = tuple(field.name for field in fields(BoardShape) if field.name not in SHAPE_ARRAYS)
 REMEDY = "write it anew with `binocal calibrate --evidence` or binocal.write_detections"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip archive can say: bytes must not depend on the clock
 
 
-def write_detections(path: str | Path, detections: Detections, *, force: bool = False) -> None:
-    """Write detections at full precision, aside and then renamed.
+def write_detections(
+    path: str | Path, detections: Detections, *, board_shape: BoardShape | None = None, force: bool = False
+) -> None:
+    """Write detections at full precision, aside and then renamed, with the board's measured shape if given.
 
     Raises:
         OutputExistsError: Something is there and ``force`` is False.
@@ -49,9 +56,13 @@ def write_detections(path: str | Path, detections: Detections, *, force: bool = 
         "is_metric": detections.is_metric,
         "board": detections.board_spec,
     }
+    if board_shape is not None:
+        header["board_shape"] = {name: getattr(board_shape, name) for name in SHAPE_FIGURES}
     arrays = {HEADER: np.frombuffer(json.dumps(header).encode("ascii"), dtype=np.uint8)}
     arrays |= {name: getattr(detections, name) for name in ARRAYS}
     arrays |= {name: value for name in COVARIANCES if (value := getattr(detections, name)) is not None}
+    if board_shape is not None:
+        arrays |= {f"board_{name}": getattr(board_shape, name) for name in SHAPE_ARRAYS}
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         for name, array in arrays.items():
@@ -85,6 +96,24 @@ def read_detections(path: str | Path) -> Detections:
         )
     except (ValueError, DataError) as error:
         raise FormatError(path, f"holds no usable detections: {error}; {REMEDY}") from None
+
+
+def read_board_shape(path: str | Path) -> BoardShape | None:
+    """The board's shape that :func:`write_detections` was given; None where there is none. Raises as :func:`read_detections`."""
+    path = Path(path)
+    members = _load(path)
+    figures = _parse_header(path, members).get("board_shape")
+    if figures is None:
+        return None
+    if not isinstance(figures, dict) or not all(type(figures.get(name)) is float for name in SHAPE_FIGURES):
+        raise FormatError(
+            path, f"array '{HEADER}', key 'board_shape': expected the figures of a board's shape; {REMEDY}"
+        )
+    arrays = {name: _parse_floats(path, members, f"board_{name}") for name in SHAPE_ARRAYS}
+    try:
+        return BoardShape(**arrays, **{name: figures[name] for name in SHAPE_FIGURES})
+    except ValueError as error:
+        raise FormatError(path, f"holds no usable board shape: {error}; {REMEDY}") from None
 
 
 def is_detections_file(path: str | Path) -> bool:

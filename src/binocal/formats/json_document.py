@@ -128,6 +128,13 @@ class Node:
             raise self.fail(key, "a whole number")
         return value
 
+    def boolean(self, key: str) -> bool:
+        """The truth value under a key."""
+        value = self._get(key, "true or false")
+        if not isinstance(value, bool):
+            raise self.fail(key, "true or false")
+        return value
+
     def order(self, key: str) -> tuple[int, ...]:
         """A permutation of 0, 1, ...; empty where there is none."""
         value = self.value.get(key, [])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,16 @@ from binocal.findings import UNCODED, Finding, Severity, finding_document
 from binocal.formats.json_document import Node, dump_json, jsonable, load_document, unknown_keys, with_unknown_keys
 from binocal.geometry import SE3
 from binocal.output import write_aside
-from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
+from binocal.result import (
+    BoardShape,
+    Covariance,
+    ExposureFit,
+    OutlierCorner,
+    RejectedView,
+    ResidualSummary,
+    StereoCalibration,
+    ViewResult,
+)
 
 SCHEMA = "binocal/1"
 UNITS = {True: "m", False: "board pitch"}
@@ -65,10 +74,11 @@ def rig_document(rig: StereoRig) -> dict[str, Any]:
 def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
     """``rig.json`` as a dictionary that holds only what JSON can say.
 
-    ``views`` hold the board's pose in the left camera (R, T) where the calibration knows it; the corners stay out: they would
+    ``views`` hold the board's pose in the left camera (R, T) where the calibration knows it, and in the right one (R_right,
+    T_right) where the exposures were apart; the corners stay out: they would
     make the file fifty times larger (:mod:`binocal.formats.detections_npz` holds them).
     """
-    poses = calibration.T_left_board
+    poses, right = calibration.T_left_board, calibration.T_right_board
     document = jsonable(
         rig_document(calibration.rig)
         | {
@@ -85,7 +95,9 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
             "baseline_sigma_m": calibration.baseline_sigma_m,
             "covariance": {"names": calibration.covariance.names, "matrix": calibration.covariance.matrix},
             "views": [
-                _view_document(view) | ({} if poses is None else {"R": poses.R[index], "T": poses.t[index]})
+                _view_document(view)
+                | ({} if poses is None else {"R": poses.R[index], "T": poses.t[index]})
+                | ({} if right is None else {"R_right": right.R[index], "T_right": right.t[index]})
                 for index, view in enumerate(calibration.views)
             ],
             "rejected": [
@@ -97,6 +109,8 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
             "provenance": calibration.provenance,
         }
         | ({} if calibration.misfit_px is None else {"misfit_px": calibration.misfit_px})
+        | ({} if calibration.board_shape is None else {"board_shape": calibration.board_shape})
+        | ({} if calibration.exposure is None else {"exposure": calibration.exposure})
     )
     return with_unknown_keys(document, calibration.extra)
 
@@ -235,6 +249,9 @@ def read_calibration(path: str | Path) -> StereoCalibration:
         n_iterations=top.integer("n_iterations"),
         provenance=top.mapping("provenance").value,
         T_left_board=_parse_poses(views) if any("R" in view.value for view in views) else None,
+        T_right_board=_parse_poses(views, "R_right", "T_right") if any("R_right" in v.value for v in views) else None,
+        board_shape=parse_board_shape(top),
+        exposure=_parse_exposure(top),
         misfit_px=top.number("misfit_px", allow_null=True) if "misfit_px" in top.value else None,
     )
     return replace(calibration, extra=unknown_keys(top.value, calibration_document(calibration)))
@@ -287,16 +304,37 @@ def _parse_camera(node: Node) -> Camera:
         raise FormatError(node.path, f"key '{node.place.rstrip('.')}': {error}") from None
 
 
-def _parse_poses(views: list[Node]) -> SE3:
-    """T_left_board of every view."""
-    R = np.array([view.array("R", (3, 3)) for view in views]).reshape(-1, 3, 3)
-    t = np.array([view.array("T", (3,)) for view in views]).reshape(-1, 3)
+def _parse_poses(views: list[Node], rotation: str = "R", translation: str = "T") -> SE3:
+    """The board's pose in a camera of every view."""
+    R = np.array([view.array(rotation, (3, 3)) for view in views]).reshape(-1, 3, 3)
+    t = np.array([view.array(translation, (3,)) for view in views]).reshape(-1, 3)
     for view, R_view in zip(views, R, strict=True):
         try:
             SE3(R_view, np.zeros(3))
         except ValueError:
-            raise view.fail("R", "a rotation matrix") from None
+            raise view.fail(rotation, "a rotation matrix") from None
     return SE3(R, t)
+
+
+def parse_board_shape(top: Node) -> BoardShape | None:
+    """The board's shape where the file holds one."""
+    if "board_shape" not in top.value:
+        return None
+    node = top.mapping("board_shape")
+    points_m, sigma_m = (node.array(name, (-1, 3)) for name in ("points_m", "sigma_m"))
+    if len(points_m) != len(sigma_m):
+        raise node.fail("sigma_m", "a row for each of points_m")
+    names = [field.name for field in fields(BoardShape) if field.name not in ("points_m", "sigma_m")]
+    figures = {name: node.number(name) for name in names}
+    return BoardShape(points_m, sigma_m, **figures)
+
+
+def _parse_exposure(top: Node) -> ExposureFit | None:
+    if "exposure" not in top.value:
+        return None
+    node = top.mapping("exposure")
+    figures = {name: node.number(name) for name in ("alone_px", "pair_px", "turn_sigma_rad", "shift_sigma_m")}
+    return ExposureFit(**figures, are_apart=node.boolean("are_apart"))
 
 
 def _parse_rig(top: Node) -> StereoRig:

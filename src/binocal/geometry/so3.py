@@ -57,6 +57,21 @@ def log(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
     return q[..., 1:] * scale[..., None]
 
 
+def left_jacobian(rotation_vector_rad: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+    """J_l with exp(v + dv) = exp(J_l dv) exp(v) to first order.
+
+    Source: Barfoot 2017, State Estimation for Robotics, eq. 7.83.
+    """
+    v = np.asarray(rotation_vector_rad, dtype=float)
+    K, angle2 = hat(v), np.sum(v * v, axis=-1)[..., None, None]
+    angle = np.sqrt(angle2)
+    is_small = angle < 1e-3  # the series is exact to 1e-13 there
+    safe = np.where(is_small, 1.0, angle)
+    first = np.where(is_small, 0.5 - angle2 / 24, (1 - np.cos(safe)) / safe**2)
+    second = np.where(is_small, 1 / 6 - angle2 / 120, (safe - np.sin(safe)) / safe**3)
+    return np.eye(3) + first * K + second * (K @ K)
+
+
 def inverse_left_jacobian(rotation_vector_rad: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
     """How a rotation vector changes where its rotation is turned from the left: d log(exp(d) exp(w)) / dd at d = 0.
 

@@ -19,8 +19,10 @@ except ImportError as error:
     ) from error
 
 from binocal.kernels.linearization import (
+    PointEquations,
     ViewEquations,
     accumulate,
+    accumulate_with_points,
     median_lengths2,
     robust_costs,
     squared_lengths,
@@ -31,9 +33,11 @@ from binocal.kernels.transforms import compose_poses, fit_planes, pixels_behind,
 
 __all__ = [
     "LastIteration",
+    "PointEquations",
     "Steps",
     "ViewEquations",
     "accumulate",
+    "accumulate_with_points",
     "compose_poses",
     "fit_planes",
     "median_lengths2",

@@ -33,7 +33,7 @@ class Views:
 
 @final
 class Sums:
-    def __init__(self, *, gram: Floats, r2: Floats, cost: Floats) -> None: ...
+    def __init__(self, *, gram: Floats, r2: Floats, cost: Floats, coupling: Floats, information: Floats) -> None: ...
 
 def accumulate(
     model: str, views: Views, is_free: ndarray, scale: Floats, kernel: str, out: Sums, n_threads: int, /

@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.kernels import _kernel
-from binocal.kernels.arrays import as_floats, per_rig, threads_for
+from binocal.kernels.arrays import NOTHING, as_floats, per_rig, threads_for
 from binocal.shapes import Bool, Float
 
 
@@ -32,6 +32,19 @@ class ViewEquations:
     gram: Float[ndarray, "*batch views q q"]
     r2_px2: Float[ndarray, "*batch views n"]
     cost_px2: Float[ndarray, "*batch views"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointEquations:
+    """What the board's own points add to the normal equations of one camera's views.
+
+    ``coupling`` holds the weighted products of the columns of :class:`ViewEquations` with the derivatives by each point's step
+    along the board's axes; its last row is the points' gradient. ``information`` are the points' own 3 x 3 matrices: xx, xy, xz,
+    yy, yz, zz.
+    """
+
+    coupling: Float[ndarray, "*batch views q 3 n"]
+    information: Float[ndarray, "*batch views 6 n"]
 
 
 def accumulate(
@@ -53,16 +66,57 @@ def accumulate(
     [[a, 0], [b, c]] that a corner's residual and columns are multiplied by. Parameters that are not ``is_free``
     (default: all are) get no columns.
     """
-    *batch, n_views, n = is_seen.shape
-    free = np.ones(parameters.shape[-1], dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
+    views = _views(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, whitening)
+    return _accumulated(model, views, is_seen.shape, scale_px, kernel, is_free, parameters.shape[-1], False)[0]
+
+
+def accumulate_with_points(
+    model: str,
+    parameters: Float[ndarray, "*batch p"],
+    R_camera_board: Float[ndarray, "*batch views 3 3"],
+    t_camera_board: Float[ndarray, "*batch views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "*batch views 2 n"],
+    is_seen: Bool[ndarray, "*batch views n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+    is_free: Bool[ndarray, "p"] | None = None,
+    whitening: Float[ndarray, "*batch views 3 n"] | None = None,
+) -> tuple[ViewEquations, PointEquations]:
+    """:func:`accumulate`, and what it takes to move the board's points as well."""
+    views = _views(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, whitening)
+    equations, points = _accumulated(model, views, is_seen.shape, scale_px, kernel, is_free, parameters.shape[-1], True)
+    assert points is not None  # they were asked for
+    return equations, points
+
+
+def _accumulated(
+    model: str,
+    views: _kernel.Views,
+    shape: tuple[int, ...],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: str,
+    is_free: Bool[ndarray, "p"] | None,
+    p: int,
+    with_points: bool,
+) -> tuple[ViewEquations, PointEquations | None]:
+    *batch, n_views, n = shape
+    free = np.ones(p, dtype=bool) if is_free is None else np.ascontiguousarray(is_free)
     q = int(np.count_nonzero(free)) + 7
     gram = np.empty((*batch, n_views, q, q))
     r2, cost = np.empty((*batch, n_views, n)), np.empty((*batch, n_views))
-    scale = per_rig(scale_px, tuple(batch))
-    views = _views(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, whitening)
-    out = _kernel.Sums(gram=gram, r2=r2, cost=cost)
-    _kernel.accumulate(model, views, free, scale, kernel, out, threads_for(r2.size))
-    return ViewEquations(gram, r2, cost)
+    points = None
+    if with_points:
+        points = PointEquations(np.empty((*batch, n_views, q, 3, n)), np.empty((*batch, n_views, 6, n)))
+    out = _kernel.Sums(
+        gram=gram,
+        r2=r2,
+        cost=cost,
+        coupling=NOTHING if points is None else points.coupling,
+        information=NOTHING if points is None else points.information,
+    )
+    _kernel.accumulate(model, views, free, per_rig(scale_px, tuple(batch)), kernel, out, threads_for(r2.size))
+    return ViewEquations(gram, r2, cost), points
 
 
 def squared_lengths(

@@ -18,6 +18,9 @@ from binocal.solvers.board_views import (
     BundleProblem,
     CameraObservations,
 )
+from binocal.solvers.jackknife import ViewAgreement, agreement_of_views
+from binocal.solvers.joint_system import ReducedSystem
+from binocal.solvers.real_views import RealViewsEstimate, RealViewsProblem, cameras_information
 from binocal.solvers.whitening import CornerWeights
 
 SINGULAR_CONDITION = 1e15  # of the equilibrated information; a usable rig has 1e3 to 1e9, brown8 up to 1e13
@@ -45,7 +48,31 @@ def shared_covariance(
     Raises:
         DegenerateGeometryError: The information matrix is singular.
     """
-    H = problem.shared_information(estimate, equations)
+    inverse = invert_information(problem, problem.shared_information(estimate, equations)) * noise_px**2
+    return _with_additive_translation(problem, estimate, inverse)
+
+
+def real_covariance(
+    problem: RealViewsProblem, estimate: RealViewsEstimate, reduced: ReducedSystem, noise_px: float
+) -> tuple[Float[ndarray, "s s"], ViewAgreement]:
+    """Covariance of the rig from the equations at the minimum, widened by what views have in common, and what that was.
+
+    Board and exposures are free within their priors. See :mod:`binocal.solvers.jackknife`. Raises as :func:`shared_covariance`.
+    """
+    inverse = invert_information(problem.nominal, cameras_information(reduced)) * noise_px**2
+    scale = np.sqrt(np.diagonal(inverse))
+    values, vectors = np.linalg.eigh(inverse / np.outer(scale, scale))
+    L = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1e-300))
+    agreement = agreement_of_views(reduced, noise_px, L)
+    return _with_additive_translation(problem.nominal, estimate.bundle, L @ agreement.widening @ L.T), agreement
+
+
+def invert_information(problem: BundleProblem, H: Float[ndarray, "s s"]) -> Float[ndarray, "s s"]:
+    """The inverse of an information matrix of the shared parameters, by equilibration.
+
+    Raises:
+        DegenerateGeometryError: It is singular; the text names the parameters that nothing determines.
+    """
     if H.shape[-1] == 0:
         return H
     scale = 1 / np.sqrt(np.maximum(np.diagonal(H), 1e-300))
@@ -57,12 +84,19 @@ def shared_covariance(
         weakest = np.abs(vectors[:, 0])
         names = [shared_names(problem)[i] for i in np.argsort(-weakest)[:3]]
         raise refusal(finding("parameters-undetermined", parameters=", ".join(names)))
-    inverse = (vectors / values) @ vectors.T * scale[:, None] * scale * noise_px**2
-    if problem.is_stereo and problem.is_rig_free and problem.held_part is None:
-        to_additive = np.eye(len(inverse))
-        to_additive[-3:, -6:-3] = -so3.hat(estimate.T_right_left.t)
-        inverse = to_additive @ inverse @ to_additive.T
+    inverse = (vectors / values) @ vectors.T * scale[:, None] * scale
     return 0.5 * (inverse + inverse.T)
+
+
+def _with_additive_translation(
+    problem: BundleProblem, estimate: BundleEstimate, covariance: Float[ndarray, "s s"]
+) -> Float[ndarray, "s s"]:
+    """From the solver's left step, which moves the translation by tau + omega x t, to steps of t itself."""
+    if problem.is_stereo and problem.is_rig_free and problem.held_part is None and len(covariance):
+        to_additive = np.eye(problem.n_shared)
+        to_additive[-3:, -6:-3] = -so3.hat(estimate.T_right_left.t)
+        covariance = to_additive @ covariance @ to_additive.T
+    return 0.5 * (covariance + covariance.T)
 
 
 def residual_noise_px(

@@ -34,6 +34,7 @@ struct Task {
     bool sees_behind;
     Kernel kernel;
     double *gram, *r2, *cost;  // of accumulate
+    double *coupling, *information;  // of accumulate where the board's points are wanted, else null
     double* columns;           // of unweighted_columns, else null
 };
 
@@ -42,13 +43,13 @@ struct Scratch {
     std::size_t run;     // padded corners
     std::size_t stride;  // from column to column: u run, v run
     std::vector<double> memory;
-    double *J, *trash, *weight, *Z, *length2;
+    double *J, *trash, *weight, *Z, *length2;  // trash: three columns
     explicit Scratch(std::size_t n) : run((n + kRun - 1) / kRun * kRun), stride(2 * run) {
-        memory.assign((kMaxColumns + 1) * stride + 3 * run + 8, 0.0);
+        memory.assign((kMaxColumns + 3) * stride + 3 * run + 8, 0.0);
         auto address = reinterpret_cast<std::uintptr_t>(memory.data());
         J = memory.data() + (64 - address % 64) % 64 / sizeof(double);
         trash = J + kMaxColumns * stride;
-        weight = trash + stride;
+        weight = trash + 3 * stride;
         Z = weight + run;
         length2 = Z + run;
     }
@@ -204,6 +205,38 @@ BINOCAL_INLINE void whiten_column(double* u, double* v, const double* whitening,
     }
 }
 
+// The products of every column, weighted, with the derivatives by each board point: (m, 3, n) to coupling. And the points' own
+// 3 x 3 information, (6, n): xx, xy, xz, yy, yz, zz. A board point moves a corner by R times its step, in the camera's frame, so
+// its derivatives are those by the pose's translation, columns m - 4 to m - 2, turned.
+BINOCAL_INLINE void couple_points(const Task& task, const Scratch& s, std::size_t view, int m) {
+    const std::size_t n = task.n, run = s.run, stride = s.stride;
+    const double *R = task.R + 9 * view, *tau = s.J + (m - 4) * stride;
+    double* point = s.trash;  // u and v runs of three columns
+    for (int axis = 0; axis < 3; ++axis) {
+        const double a = R[axis], b = R[3 + axis], c = R[6 + axis];
+        double* column = point + axis * stride;
+        BINOCAL_INDEPENDENT
+        for (std::size_t j = 0; j < stride; ++j) column[j] = a * tau[j] + b * tau[stride + j] + c * tau[2 * stride + j];
+    }
+    double* out = task.coupling + static_cast<std::size_t>(m) * 3 * n * view;
+    for (int i = 0; i < m; ++i) {
+        const double *u = s.J + i * stride, *v = u + run;
+        for (int axis = 0; axis < 3; ++axis, out += n) {
+            const double *by_u = point + axis * stride, *by_v = by_u + run;
+            BINOCAL_INDEPENDENT
+            for (std::size_t j = 0; j < n; ++j) out[j] = u[j] * by_u[j] + v[j] * by_v[j];
+        }
+    }
+    double* own = task.information + 6 * n * view;
+    for (int a = 0; a < 3; ++a) {
+        for (int b = a; b < 3; ++b, own += n) {
+            const double *au = point + a * stride, *bu = point + b * stride;
+            BINOCAL_INDEPENDENT
+            for (std::size_t j = 0; j < n; ++j) own[j] = au[j] * bu[j] + au[run + j] * bu[run + j];
+        }
+    }
+}
+
 template <class Model, bool Full, int lanes>
 BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t last) {
     constexpr int p = n_parameters_of<Model>, q = p + 7;
@@ -251,6 +284,7 @@ BINOCAL_INLINE void run_views(const Task& task, std::size_t first, std::size_t l
         for (int i = 0; i < m; ++i) {
             for (int k = i; k < m; ++k) gram[i * m + k] = gram[k * m + i] = block[i * padded + k];
         }
+        if (task.coupling) couple_points(task, s, view, m);
     }
 }
 
@@ -352,9 +386,9 @@ struct Views {
     Doubles whitening;
 };
 
-// What `accumulate` writes: (views, q, q), (views, n), (views).
+// What `accumulate` writes: (views, q, q), (views, n), (views); (views, q, 3, n) and (views, 6, n), or empty.
 struct Sums {
-    DoublesOut gram, r2, cost;
+    DoublesOut gram, r2, cost, coupling, information;
 };
 
 Task make_task(const Copies& model, const Views& given) {
@@ -386,6 +420,11 @@ void accumulate(const std::string& name, const Views& views, const Flags& is_fre
     require(out.gram.size() == q * q * task.n_views && out.r2.size() == task.n * task.n_views && out.cost.size() == task.n_views,
             "an output has the wrong size");
     task.is_free = is_free.data(), task.scale = scale.data(), task.kernel = kernel_of(kernel);
+    const bool couples = out.coupling.size() > 0;
+    require(out.coupling.size() == (couples ? 3 * q * task.n * task.n_views : 0) &&
+                out.information.size() == (couples ? 6 * task.n * task.n_views : 0),
+            "an output of the board's points has the wrong size");
+    if (couples) task.coupling = out.coupling.data(), task.information = out.information.data();
     task.gram = out.gram.data(), task.r2 = out.r2.data(), task.cost = out.cost.data();
     const Work work = n_free > 0 ? model.views : model.held;
     nb::gil_scoped_release unlocked;
@@ -486,7 +525,8 @@ void register_accumulate(nb::module_& module) {
     nb::class_<Views>(module, "Views")
         .def(nb::init<Doubles, Doubles, Doubles, Doubles, Doubles, Flags, Doubles>(), nb::kw_only(), "parameters"_a, "R"_a, "t"_a,
              "points"_a, "pixels"_a, "is_seen"_a, "whitening"_a);
-    nb::class_<Sums>(module, "Sums").def(nb::init<DoublesOut, DoublesOut, DoublesOut>(), nb::kw_only(), "gram"_a, "r2"_a, "cost"_a);
+    nb::class_<Sums>(module, "Sums").def(nb::init<DoublesOut, DoublesOut, DoublesOut, DoublesOut, DoublesOut>(), nb::kw_only(), "gram"_a, "r2"_a,
+                                     "cost"_a, "coupling"_a, "information"_a);
     module.def("accumulate", &accumulate);
     module.def("costs", &costs);
     module.def("medians", &medians);

@@ -1,0 +1,272 @@
+"""From the nominal minimum to the board and the exposures as they were: which of them are freed, and the minimum then.
+
+The nominal problem is solved first, so that corner orders, bad views and outliers are dealt with as ever. Then two questions are
+put to its equations: does the board differ from its drawing (:mod:`binocal.solvers.board_shape`), and do the cameras alone fit
+better than the pair (:mod:`binocal.solvers.exposures`)? What the data deny stays as it was drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
+from binocal.shapes import Bool, Float
+from binocal.solvers import robust
+from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, estimate_variances
+from binocal.solvers.board_views import BundleMinimum, BundleProblem, CameraObservations
+from binocal.solvers.exposures import (
+    APART_RATIO,
+    PairFit,
+    compare_with_cameras_alone,
+    determined_deviations,
+    effective_points,
+    estimate_deviation_sigma,
+    with_deviations,
+)
+from binocal.solvers.joint_system import ReducedSystem
+from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, Minimum, minimize
+from binocal.solvers.real_views import (
+    RealViewsEquations,
+    RealViewsMinimum,
+    RealViewsProblem,
+    cameras_information,
+    solve_symmetric,
+)
+
+MAX_ROUNDS = 4  # of variances and minimum; the second usually finds nothing to change
+SETTLED_SHARE = 0.05  # of a standard deviation of the offsets, the largest
+SETTLED_LOG = 0.1  # of a standard deviation of the deviations
+MAX_STRETCHES = 8
+RIG_TOLERANCE_SIGMA = 0.3  # over all parameters of the rig: a twentieth of a standard deviation for one
+COARSE = LoopOptions(tolerance_sigma=0.5, max_iterations=4)
+FINE = LoopOptions(tolerance_sigma=0.3, max_iterations=3, initial_damping=RESUMED_DAMPING)
+POOLED_CORNERS = 10  # an image's own noise is known from 88 corners to 9 %
+MIN_IMAGE_CORNERS = 6
+MEDIAN_SCATTER = 0.83  # of the noise from the median residual of n corners, times sqrt(n)
+UNEVEN_RATIO = 1.5  # of the images' scatter over what chance makes of it
+MIN_POINTS = 9  # fewer are determined by their poses and the lens
+MIN_VIEWS_TO_FREE = 4
+MIN_FREEDOM_SHARE = 0.25  # of the measurements: what must be left once every point is free
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RealViewsSolve:
+    """The minimum with what was freed and why, its shared equations, and the noise of a corner coordinate."""
+
+    problem: RealViewsProblem
+    minimum: RealViewsMinimum
+    reduced: ReducedSystem
+    """At the minimum, priors weighed against ``noise_px``."""
+    noise_px: float
+    pair: PairFit
+    shape: ShapeEvidence | None = None
+    n_iterations: int = 0
+
+    @property
+    def is_freed(self) -> bool:
+        """Whether anything is."""
+        return self.problem.shape_information is not None or self.problem.deviation_sigma is not None
+
+
+def inliers(problem: RealViewsProblem, minimum: RealViewsMinimum) -> tuple[Bool[ndarray, "views n"], ...]:
+    """Which seen corners carry weight at the minimum."""
+    return tuple(
+        c.is_seen & robust.carries_weight(e.r2_px2, minimum.scale_px, minimum.kernel)
+        for c, e in zip(problem.cameras, minimum.equations.cameras, strict=True)
+    )
+
+
+def solve_real_views(
+    nominal: BundleProblem,
+    known: BundleMinimum,
+    *,
+    board_shape: BoardShapeChoice = "auto",
+    exposure: ExposureChoice = "auto",
+) -> RealViewsSolve:
+    """Free what the data say is not as drawn, from the nominal minimum."""
+    problem = RealViewsProblem(nominal)
+    estimate = problem.start(known.estimate)
+    equations = problem.linearize(estimate, known.scale_px, known.kernel)
+    minimum: RealViewsMinimum = Minimum(
+        estimate, equations, known.scale_px, known.kernel, known.n_iterations, known.is_converged, known.options
+    )
+    solve = _measured(problem, minimum, None, PairFit(1.0, 1.0), 0)
+    if board_shape != "flat" and _can_free(problem, solve, board_shape):
+        solve = _with_board_freed(solve, board_shape)
+    pair = _pair_fit(solve)
+    solve = replace(solve, pair=pair)
+    if exposure == "apart" or (exposure == "auto" and pair.ratio < APART_RATIO):
+        solve = _with_exposures_freed(solve, board_shape)
+    return _weighed_by_image(solve) if solve.is_freed else solve
+
+
+def _weighed_by_image(solve: RealViewsSolve) -> RealViewsSolve:
+    """The solve with a noise of its own for every image, where they differ by more than chance.
+
+    Images are not equally sharp, and what still misfits shows more in some. An image's noise is the median of its residuals,
+    shrunk towards that of all images by :data:`POOLED_CORNERS` corners.
+    """
+    problem, minimum = solve.problem, solve.minimum
+    n_seen, variance = [], []
+    for camera, e in zip(problem.cameras, minimum.equations.cameras, strict=True):
+        n_seen.append(camera.is_seen.sum(axis=1))
+        own = [
+            np.median(r2[is_seen]) if is_seen.any() else 0.0
+            for r2, is_seen in zip(e.r2_px2, camera.is_seen, strict=True)
+        ]
+        variance.append(np.array(own) / robust.MEDIAN_OF_RAYLEIGH**2)
+    n, own = np.array(n_seen), np.array(variance)
+    has_corners = n >= MIN_IMAGE_CORNERS
+    if has_corners.sum() < 2:
+        return solve
+    common = float(minimum.scale_px) ** 2
+    logs = 0.5 * np.log(np.maximum(own[has_corners], 1e-12) / common)
+    if np.std(logs) < UNEVEN_RATIO * np.sqrt(np.mean(MEDIAN_SCATTER**2 / n[has_corners])):
+        return solve
+    shrunk = np.where(has_corners, (n * own + POOLED_CORNERS * common) / (n + POOLED_CORNERS), common)
+    factors = np.sqrt(common / shrunk)
+    cameras = tuple(_weighed(camera, factor) for camera, factor in zip(problem.nominal.cameras, factors, strict=True))
+    weighed = replace(problem, nominal=replace(problem.nominal, cameras=cameras))
+    return _minimized(weighed, solve, FINE, solve.shape)
+
+
+def _weighed(camera: CameraObservations, factors: Float[ndarray, "views"]) -> CameraObservations:
+    """The observations with every view's residuals multiplied by a factor."""
+    one = np.array([1.0, 0.0, 1.0])[:, None] if camera.whitening is None else camera.whitening
+    whitening = np.broadcast_to(one * factors[:, None, None], (*camera.is_seen.shape[:1], 3, camera.is_seen.shape[1]))
+    return replace(camera, whitening=np.ascontiguousarray(whitening))
+
+
+def _can_free(problem: RealViewsProblem, solve: RealViewsSolve, board_shape: BoardShapeChoice) -> bool:
+    """Whether views and corners suffice to tell the board's shape from all else."""
+    n = problem.nominal.object_points.shape[1]
+    n_views = int(solve.reduced.is_determined.sum())
+    counts = _n_coordinates(problem, solve.minimum)
+    left = counts - 6 * n_views - solve.reduced.system.n_shared - (3 * n - 7)
+    is_enough = n >= MIN_POINTS and n_views >= MIN_VIEWS_TO_FREE and left > MIN_FREEDOM_SHARE * counts
+    return is_enough or board_shape == "warp"
+
+
+def _n_coordinates(problem: RealViewsProblem, minimum: RealViewsMinimum) -> int:
+    return 2 * sum(int(used.sum()) for used in inliers(problem, minimum))
+
+
+def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> RealViewsSolve:
+    problem = solve.problem
+    points = problem.nominal.object_points
+    model = ShapeModel.of_points(points)
+    if board_shape in ("warp", "free"):
+        information = model.warp_information(points) if board_shape == "warp" else model.weak_information()
+        problem = replace(problem, shape_information=information)
+        return _minimized(problem, solve, FINE, solve.shape)
+    shape = _first_evidence(solve, model)
+    if shape.is_flat:
+        return replace(solve, shape=shape)
+    for attempt in range(MAX_ROUNDS):
+        problem = replace(solve.problem, shape_information=model.information(shape.variances))
+        solve = _minimized(problem, solve, FINE if attempt else COARSE, shape)
+        before, shape = shape.variances, _evidence(solve, model, shape)
+        if attempt and _is_settled(before, shape.variances, model):
+            break
+    return replace(solve, shape=shape)
+
+
+def _first_evidence(solve: RealViewsSolve, model: ShapeModel) -> ShapeEvidence:
+    """From the equations at the nominal board, every point all but free."""
+    minimum = solve.minimum
+    weak = replace(solve.problem, shape_information=model.weak_information())
+    equations = weak.linearize(minimum.estimate, minimum.scale_px, minimum.kernel)
+    reduced = weak.reduced(minimum.estimate, equations)
+    x = solve_symmetric(reduced.information, reduced.gradient)
+    rss = _rss(equations) - float(x @ reduced.gradient) - float(np.sum(reduced.y**2))
+    fitted = 6 * reduced.is_determined.sum() + reduced.system.n_shared + len(model.basis) - 7
+    noise_px = float(np.sqrt(max(rss, 0.0) / max(_n_coordinates(weak, minimum) - fitted, 1)))
+    return estimate_variances(model, reduced, np.zeros(len(model.basis)), max(noise_px, robust.SCALE_FLOOR_PX))
+
+
+def _evidence(solve: RealViewsSolve, model: ShapeModel, before: ShapeEvidence) -> ShapeEvidence:
+    offset = (solve.minimum.estimate.points - solve.problem.nominal.object_points).reshape(-1)
+    return estimate_variances(model, solve.reduced, offset, solve.noise_px, before.variances)
+
+
+def _is_settled(before: Float[ndarray, "5"], after: Float[ndarray, "5"], model: ShapeModel) -> bool:
+    old, new = (np.sqrt(variances / model.scales) for variances in (before, after))
+    return bool(np.abs(old - new).max() < SETTLED_SHARE * max(old.max(), new.max()))
+
+
+def _pair_fit(solve: RealViewsSolve) -> PairFit:
+    minimum = solve.minimum
+    return compare_with_cameras_alone(
+        solve.problem, minimum.estimate, minimum.equations, _n_coordinates(solve.problem, minimum)
+    )
+
+
+def _with_exposures_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> RealViewsSolve:
+    """The solve with deviations of the right poses; a board that only they had bent is as drawn again."""
+    model = ShapeModel.of_points(solve.problem.nominal.object_points)
+    sigma: tuple[float, float] | None = None
+    for attempt in range(MAX_ROUNDS):
+        before = sigma
+        sigma = estimate_deviation_sigma(solve.problem, solve.minimum.estimate, solve.minimum.equations, solve.noise_px)
+        problem = replace(with_deviations(solve.problem, solve.minimum.estimate, sigma), deviation_sigma=sigma)
+        if attempt and solve.shape is not None and board_shape == "auto" and problem.shape_information is not None:
+            shape = _evidence(solve, model, solve.shape)
+            information = None if shape.is_flat else model.information(shape.variances)
+            problem = replace(problem, shape_information=information)
+            solve = replace(solve, shape=shape)
+        solve = _minimized(problem, solve, FINE if attempt else COARSE, solve.shape)
+        if before and max(abs(np.log(a / b)) for a, b in zip(before, sigma, strict=True)) < SETTLED_LOG:
+            break
+    return solve
+
+
+def _minimized(
+    problem: RealViewsProblem, solve: RealViewsSolve, options: LoopOptions, shape: ShapeEvidence | None
+) -> RealViewsSolve:
+    """The minimum as far as the rig is concerned.
+
+    A redescending kernel that closes on hundreds of points gives up one corner after the other for dozens of iterations, which move
+    points and poses and leave the rig where it is. So the loop runs in short stretches and ends with the rig's own step.
+    """
+    for _ in range(MAX_STRETCHES):
+        minimum = minimize(problem, solve.minimum.estimate, options)
+        solve = _measured(problem, minimum, shape, solve.pair, solve.n_iterations + int(minimum.n_iterations))
+        if bool(minimum.is_converged) or not np.isfinite(solve.noise_px):
+            break
+        if rig_step_sigma(solve) < RIG_TOLERANCE_SIGMA:
+            return replace(solve, minimum=replace(minimum, is_converged=np.asarray(True)))
+    return solve
+
+
+def rig_step_sigma(solve: RealViewsSolve) -> float:
+    """Length of the next step over the cameras' and the rig's parameters, in standard deviations."""
+    reduced = solve.reduced
+    x = solve_symmetric(reduced.information, reduced.gradient)[: reduced.system.n_shared]
+    return float(np.sqrt(max(x @ cameras_information(reduced) @ x, 0.0)) / solve.noise_px)
+
+
+def _measured(
+    problem: RealViewsProblem,
+    minimum: RealViewsMinimum,
+    shape: ShapeEvidence | None,
+    pair: PairFit,
+    n_iterations: int,
+) -> RealViewsSolve:
+    """The solve with its noise: weighted residuals, corrected for all that was fitted, priors counted."""
+    reduced = problem.reduced(minimum.estimate, minimum.equations)
+    scale = float(minimum.equations.scale_px)
+    fitted = 6 * reduced.is_determined.sum() + problem.n_free + effective_points(problem, reduced)
+    fitted += determined_deviations(problem, reduced, scale)
+    freedom = _n_coordinates(problem, minimum) - fitted
+    noise_px = float(np.sqrt(_rss(minimum.equations) / freedom)) if freedom > 0 else np.nan
+    if problem.has_priors and np.isfinite(noise_px):
+        weighed = replace(minimum.equations, scale_px=np.asarray(max(noise_px, robust.SCALE_FLOOR_PX)))
+        reduced = problem.reduced(minimum.estimate, weighed)
+    return RealViewsSolve(problem, minimum, reduced, noise_px, pair, shape, n_iterations)
+
+
+def _rss(equations: RealViewsEquations) -> float:
+    return sum(float(e.gram[:, -1, -1].sum()) for e in equations.cameras)

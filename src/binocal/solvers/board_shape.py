@@ -1,0 +1,300 @@
+"""How a board differs from its drawing: the prior of its points' offsets, with variances that the data give (empirical Bayes).
+
+A board point's offset d from its nominal place is Gaussian: independent print errors, a smooth part (Matérn 5/2, half the board
+long), each in the plane and across it with a variance of its own, and stretch and shear of the print. The five variances maximise
+the restricted likelihood of the linearised problem (Patterson & Thompson 1971), so a flat board stays flat and pays nothing, and
+a bent one is freed as far as its images determine it. The seven directions that no image of the board alone can tell, a rigid
+motion and the scale, are held: lengths on the board are right on average over all its points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.shapes import Float
+from binocal.solvers.joint_system import ReducedSystem
+from binocal.solvers.real_views import solve_symmetric
+
+WEAK_SHARE = 0.3  # of the pitch: standard deviation of a point that hardly any view determines
+STIFF_SHARE = 1e-5  # of the pitch: standard deviation of what no image tells
+START_SHARES = (
+    0.003,
+    0.003,
+    0.003,
+    0.003,
+    0.001,
+)  # of the pitch: independent in, out, smooth in, out; affine, a pure number
+LEAST_SHARE = 1e-6  # of the pitch: a standard deviation below is none
+CORRELATION_LENGTH = 0.5  # of the board's longer side
+MAX_ITERATIONS = 30
+TOLERANCE = 0.01  # of -2 log likelihood: nothing in the result moves by less
+EVIDENCE_LIMIT = 20.0  # -2 log likelihood ratio: 700 flat boards stay below 13, a bow of 0.5 mm gives 84 and more
+
+Variances = Float[ndarray, "5"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeModel:
+    """The kinds of offsets of one board: covariances for unit variances, in a basis without the directions that no image tells.
+
+    ``basis`` has orthonormal columns; ``kernels`` are (r, r) for independent in plane, independent across, smooth in plane, smooth
+    across, affine; ``hidden`` spans the seven directions.
+    """
+
+    pitch: float
+    basis: Float[ndarray, "m r"]
+    kernels: tuple[Float[ndarray, "r r"], ...]
+    hidden: Float[ndarray, "m 7"]
+
+    @staticmethod
+    def of_points(points: Float[ndarray, "3 n"]) -> ShapeModel:
+        """The model of a board with these nominal points."""
+        return _model(np.ascontiguousarray(points).tobytes(), points.shape[1])
+
+    @property
+    def scales(self) -> Variances:
+        """Variances of size one: the square of the pitch, and 1 for the affine part."""
+        return np.array([self.pitch**2] * 4 + [1.0])
+
+    def covariance(self, variances: Variances) -> Float[ndarray, "r r"]:
+        """Covariance of the offsets in the basis."""
+        out = variances[0] * self.kernels[0]
+        for variance, kernel in zip(variances[1:], self.kernels[1:], strict=True):
+            if variance > 0:
+                out = out + variance * kernel
+        return out
+
+    def information(self, variances: Variances) -> Float[ndarray, "m m"]:
+        """Inverse covariance of all offsets, the hidden directions held."""
+        least = (LEAST_SHARE * self.pitch) ** 2
+        inverse = np.linalg.inv(self.covariance(variances) + least * np.eye(self.basis.shape[1]))
+        stiff = self.hidden @ self.hidden.T / (STIFF_SHARE * self.pitch) ** 2
+        return self.basis @ (0.5 * (inverse + inverse.T)) @ self.basis.T + stiff
+
+    def weak_information(self) -> Float[ndarray, "m m"]:
+        """That of points which are free as far as they are seen at all."""
+        m = len(self.basis)
+        return (
+            np.eye(m) / (WEAK_SHARE * self.pitch) ** 2 + self.hidden @ self.hidden.T / (STIFF_SHARE * self.pitch) ** 2
+        )
+
+    def warp_information(self, points: Float[ndarray, "3 n"]) -> Float[ndarray, "m m"]:
+        """That of a board that can only bow (as a quadratic), stretch and shear."""
+        x, y, _ = points - points.mean(axis=1, keepdims=True)
+        zero = np.zeros_like(x)
+        bows = [np.concatenate([zero, zero, part]) for part in (x * x, x * y, y * y)]
+        columns = np.concatenate([np.stack(bows, axis=1), _affine(points)], axis=1)
+        columns = columns - self.hidden @ (self.hidden.T @ columns)
+        u, size, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+        u = u[:, size > 1e-6 * size[0]]
+        m, stiff = len(u), 1 / (STIFF_SHARE * self.pitch) ** 2
+        return stiff * (np.eye(m) - u @ u.T) + (u @ u.T) / (WEAK_SHARE * self.pitch) ** 2
+
+    def scale_variance(self, points: Float[ndarray, "3 n"], variances: Variances) -> float:
+        """Relative variance of the board's scale, which no image tells: of the similarity that fits offsets best."""
+        x = (points - points.mean(axis=1, keepdims=True)).reshape(-1)
+        g = x / (x @ x)
+        n = points.shape[1]
+        smooth = _smooth(points, self.pitch)
+        affine = _affine(points)
+        total = 0.0
+        for axis in range(3):
+            part = g[axis * n : (axis + 1) * n]
+            own, alike = (variances[0], variances[2]) if axis < 2 else (variances[1], variances[3])
+            total += own * part @ part + alike * part @ smooth @ part
+        return float(total + variances[4] * np.sum((affine.T @ g) ** 2))
+
+
+@lru_cache(maxsize=8)
+def _model(data: bytes, n: int) -> ShapeModel:
+    points = np.frombuffer(data).reshape(3, n)
+    pitch = pitch_of(points)
+    hidden = hidden_directions(points)
+    basis = _complement(hidden)
+    smooth, affine = _smooth(points, pitch), _affine(points)
+    zero, one = np.zeros((n, n)), np.eye(n)
+    blocks = (
+        _blocks(one, one, zero),
+        _blocks(zero, zero, one),
+        _blocks(smooth, smooth, zero),
+        _blocks(zero, zero, smooth),
+        affine @ affine.T,
+    )
+    return ShapeModel(pitch, basis, tuple(basis.T @ block @ basis for block in blocks), hidden)
+
+
+def pitch_of(points: Float[ndarray, "3 n"]) -> float:
+    """Median distance from a point to its nearest neighbour."""
+    distance = np.linalg.norm(points[:, :, None] - points[:, None, :], axis=0)
+    np.fill_diagonal(distance, np.inf)
+    return float(np.median(distance.min(axis=1)))
+
+
+def hidden_directions(points: Float[ndarray, "3 n"]) -> Float[ndarray, "m 7"]:
+    """Orthonormal offsets of a rigid motion and of the scale about the centre."""
+    centred = points - points.mean(axis=1, keepdims=True)
+    x, y, z = centred
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    columns = [
+        np.concatenate(parts)
+        for parts in (
+            (one, zero, zero),
+            (zero, one, zero),
+            (zero, zero, one),
+            (zero, -z, y),
+            (z, zero, -x),
+            (-y, x, zero),
+            (x, y, z),
+        )
+    ]
+    return np.linalg.qr(np.stack(columns, axis=1))[0]
+
+
+def _complement(directions: Float[ndarray, "m k"]) -> Float[ndarray, "m r"]:
+    full = np.linalg.qr(np.concatenate([directions, np.eye(len(directions))], axis=1))[0]
+    return np.ascontiguousarray(full[:, directions.shape[1] :])
+
+
+def _smooth(points: Float[ndarray, "3 n"], pitch: float) -> Float[ndarray, "n n"]:
+    """Matérn 5/2 correlation of the points. Source: Rasmussen & Williams 2006, eq. 4.17."""
+    length = CORRELATION_LENGTH * max(float(np.ptp(points, axis=1).max()), pitch)
+    r = np.sqrt(5) * np.linalg.norm(points[:, :, None] - points[:, None, :], axis=0) / length
+    return (1 + r + r * r / 3) * np.exp(-r)
+
+
+def _affine(points: Float[ndarray, "3 n"]) -> Float[ndarray, "m 3"]:
+    """Offsets of a print stretched along x, along y, and sheared, each by one."""
+    x, y, _ = points - points.mean(axis=1, keepdims=True)
+    zero = np.zeros_like(x)
+    return np.stack(
+        [np.concatenate(parts) for parts in ((x, zero, zero), (zero, y, zero), (0.5 * y, 0.5 * x, zero))], axis=1
+    )
+
+
+def _blocks(x: Float[ndarray, "n n"], y: Float[ndarray, "n n"], z: Float[ndarray, "n n"]) -> Float[ndarray, "m m"]:
+    n = len(x)
+    out = np.zeros((3 * n, 3 * n))
+    for i, block in enumerate((x, y, z)):
+        out[i * n : (i + 1) * n, i * n : (i + 1) * n] = block
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeEvidence:
+    """The most likely variances, and by how much -2 log likelihood falls against a board as drawn."""
+
+    variances: Variances
+    likelihood_ratio: float
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether nothing speaks against the drawing."""
+        return self.likelihood_ratio < EVIDENCE_LIMIT
+
+
+def estimate_variances(
+    model: ShapeModel,
+    reduced: ReducedSystem,
+    offset: Float[ndarray, "m"],
+    noise_px: float,
+    start: Variances | None = None,
+) -> ShapeEvidence:
+    """Variances of the offsets by restricted maximum likelihood, from the equations linearised at ``offset``.
+
+    ``reduced`` counts a prior on the points, whose information and gradient are taken out again. Corner noise is ``noise_px``.
+    """
+    k = reduced.system.n_shared
+    A, b = reduced.information, reduced.gradient
+    prior, prior_gradient = reduced.system.prior[k:, k:], reduced.system.prior_gradient[k:]
+    free = solve_symmetric(A[:k, :k], np.concatenate([A[:k, k:], b[:k, None]], axis=1))
+    M = A[k:, k:] - A[k:, :k] @ free[:, :-1] - prior
+    score = b[k:] - A[k:, :k] @ free[:, -1] - prior_gradient + M @ offset
+    E = model.basis
+    Mc = E.T @ M @ E + np.eye(E.shape[1]) * (noise_px / (WEAK_SHARE * model.pitch)) ** 2
+    V = noise_px**2 * np.linalg.inv(0.5 * (Mc + Mc.T))
+    found = V @ (E.T @ score) / noise_px**2
+    flat = _minus_two_log_likelihood(V, found)
+    starts = [np.square(START_SHARES) * model.scales]
+    if start is not None:
+        starts.insert(0, np.maximum(start, (LEAST_SHARE * model.pitch) ** 2 * model.scales / model.pitch**2))
+    best = min((_maximize(model, V, found, a) for a in starts), key=lambda pair: pair[0])
+    least = LEAST_SHARE**2 * model.scales
+    variances = np.where(best[1] > 4 * least, best[1], 0.0)
+    return ShapeEvidence(variances, flat - best[0])
+
+
+def _minus_two_log_likelihood(N: Float[ndarray, "r r"], d: Float[ndarray, "r"]) -> float:
+    L = np.linalg.cholesky(N)
+    w = np.linalg.solve(L, d)
+    return float(2 * np.log(np.diagonal(L)).sum() + w @ w)
+
+
+def _maximize(
+    model: ShapeModel, V: Float[ndarray, "r r"], d: Float[ndarray, "r"], start: Variances
+) -> tuple[float, Variances]:
+    """Average-information Newton steps on the logarithms of the variances. Source: Gilmour, Thompson & Cullis 1995."""
+    least = LEAST_SHARE**2 * model.scales
+    a, value = start, np.inf
+    damping = 1e-3
+    trial = a
+    gradient = average = np.zeros(0)
+    for _ in range(MAX_ITERATIONS):
+        N = V + model.covariance(trial)
+        inverse = np.linalg.inv(N)
+        q = inverse @ d
+        new = float(np.linalg.slogdet(N)[1] + d @ q)
+        if new < value:
+            is_done = value - new < TOLERANCE
+            a, value = trial, new
+            pulled = np.stack([kernel @ q for kernel in model.kernels])
+            traces = np.array([np.vdot(inverse, kernel) for kernel in model.kernels])
+            gradient = (traces - pulled @ q) * a
+            average = pulled @ inverse @ pulled.T * np.outer(a, a)
+            damping /= 5
+            if is_done:
+                break
+        else:
+            damping = max(10 * damping, 0.1)
+            if damping > 1e4:
+                break
+        size = np.maximum(np.diagonal(average), 1e-3)
+        step = -np.linalg.solve(average + np.diag(damping * size + 1e-9), gradient)
+        trial = np.maximum(a * np.exp(np.clip(step, -3.0, 3.0)), least)
+    return value, a
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeFigures:
+    """What is said of a board's shape; lengths in the points' unit. See :class:`binocal.result.BoardShape`."""
+
+    bow: float
+    bow_sigma: float
+    stretch: float
+    stretch_sigma: float
+    in_plane_rms: float
+
+
+def describe_shape(
+    nominal: Float[ndarray, "3 n"], points: Float[ndarray, "3 n"], covariance: Float[ndarray, "m m"]
+) -> ShapeFigures:
+    """Bow, stretch and their standard deviations; ``covariance`` is that of the offsets, x of all points first."""
+    n = nominal.shape[1]
+    offset = points - nominal
+    high, low = int(np.argmax(offset[2])), int(np.argmin(offset[2]))
+    heights = covariance[2 * n :, 2 * n :]
+    bow_variance = heights[high, high] + heights[low, low] - 2 * heights[high, low]
+    x, y = nominal[:2] - nominal[:2].mean(axis=1, keepdims=True)
+    functional = np.zeros(3 * n)
+    functional[:n] = x / max(float(x @ x), 1e-300)
+    functional[n : 2 * n] = -y / max(float(y @ y), 1e-300)
+    return ShapeFigures(
+        float(offset[2, high] - offset[2, low]),
+        float(np.sqrt(max(bow_variance, 0.0))),
+        float(functional @ offset.reshape(-1)),
+        float(np.sqrt(max(functional @ covariance @ functional, 0.0))),
+        float(np.sqrt(np.mean(np.sum(offset[:2] ** 2, axis=0)))),
+    )

@@ -1,0 +1,143 @@
+"""Whether both cameras saw each view at one moment, and by how much the right one's view deviates where they did not.
+
+Each camera alone fits its images whatever the other saw. Where it does so clearly better than both together, the two did not see
+the board in one place: they were not triggered together, or the rig moved. The deviation of each view is then an unknown with a
+variance that the data give (MacKay 1992, "Bayesian interpolation", eq. 4.6, one variance for the turn and one for the shift).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.shapes import Float
+from binocal.solvers.joint_system import ReducedSystem
+from binocal.solvers.real_views import RealViewsEquations, RealViewsEstimate, RealViewsProblem, solve_symmetric
+
+FREE_SHARE = 0.3  # of the board's size: a shift (and radians of turn) so wide that it is free
+APART_RATIO = 0.88  # each camera alone over the pair: below, the exposures differ
+START_SHARE = 0.01  # as FREE_SHARE, where the search for the variances begins
+LEAST_SHARE = 1e-7  # and where it ends: as good as none
+MAX_ROUNDS = 8
+SETTLED_LOG = 0.05  # of a standard deviation: nothing that depends on it moves by more
+
+
+@dataclass(frozen=True, slots=True)
+class PairFit:
+    """Noise of a corner coordinate where each camera is fitted alone, and where both are, with one board; degrees of freedom counted."""
+
+    alone_px: float
+    pair_px: float
+
+    @property
+    def ratio(self) -> float:
+        """Alone over pair: 1 where both cameras saw one board in one place."""
+        return self.alone_px / self.pair_px if self.pair_px > 0 else 1.0
+
+    @property
+    def moved_px(self) -> float:
+        """What the pair adds to the noise."""
+        return float(np.sqrt(max(self.pair_px**2 - self.alone_px**2, 0.0)))
+
+
+def board_size(problem: RealViewsProblem) -> float:
+    """Half the longer side of the board."""
+    return 0.5 * float(np.ptp(problem.nominal.object_points, axis=1).max())
+
+
+def board_centres(problem: RealViewsProblem, estimate: RealViewsEstimate) -> Float[ndarray, "views 3"]:
+    """The board's centre in the right camera's frame, as the rig has it."""
+    T = estimate.bundle.T_right_left @ estimate.bundle.T_left_board
+    return T.R @ problem.nominal.object_points.mean(axis=1) + T.t
+
+
+def with_deviations(
+    problem: RealViewsProblem, estimate: RealViewsEstimate, sigma: tuple[float, float]
+) -> RealViewsProblem:
+    """The problem with one deviation of the right pose in each view."""
+    centres = board_centres(problem, estimate) if problem.centres is None else problem.centres
+    return replace(problem, deviation_sigma=sigma, centres=centres)
+
+
+def compare_with_cameras_alone(
+    problem: RealViewsProblem, estimate: RealViewsEstimate, equations: RealViewsEquations, n_coordinates: int
+) -> PairFit:
+    """Both noises from one linearisation of a problem without deviations; ``n_coordinates`` carried weight."""
+    together = problem.reduced(estimate, equations)
+    size = board_size(problem)
+    free = with_deviations(problem, estimate, (FREE_SHARE, FREE_SHARE * size))
+    apart = free.reduced(estimate, equations)
+    V, k = together.system.n_views, together.system.n_shared
+    rss = sum(float(e.gram[:, -1, -1].sum()) for e in equations.cameras)
+    pair = rss - _gain(together)
+    alone = rss - _gain(apart)
+    has_both = np.logical_and(*(e.gram[:, -2, -2] > 0 for e in equations.cameras)).sum()
+    freedom = n_coordinates - 6 * V - k - effective_points(problem, together)
+    freedom_alone = freedom - 6 * max(int(has_both) - 1, 0)
+    if freedom_alone <= 0 or not pair > 0:
+        return PairFit(1.0, 1.0)
+    return PairFit(float(np.sqrt(max(alone, 0.0) / freedom_alone)), float(np.sqrt(pair / freedom)))
+
+
+def _gain(reduced: ReducedSystem) -> float:
+    """How far the sum of squares falls in the best step."""
+    x = solve_symmetric(reduced.information, reduced.gradient)
+    return float(x @ reduced.gradient + np.sum(reduced.y**2))
+
+
+def effective_points(problem: RealViewsProblem, reduced: ReducedSystem) -> float:
+    """How many of the points' coordinates the data determine, beyond their prior."""
+    if problem.shape_information is None:
+        return 0.0
+    k = reduced.system.n_shared
+    A = reduced.information
+    inner = A[k:, k:] - A[k:, :k] @ solve_symmetric(A[:k, :k], A[:k, k:])
+    return float(len(inner) - np.trace(solve_symmetric(inner, reduced.system.prior[k:, k:])))
+
+
+def estimate_deviation_sigma(
+    problem: RealViewsProblem, estimate: RealViewsEstimate, equations: RealViewsEquations, noise_px: float
+) -> tuple[float, float]:
+    """Standard deviations (rotation in radians, shift) of the deviations, on the linearised problem."""
+    size = board_size(problem)
+    sigma = problem.deviation_sigma or (START_SHARE, START_SHARE * size)
+    weighed = replace(equations, scale_px=np.asarray(noise_px))
+    for _ in range(MAX_ROUNDS):
+        reduced = with_deviations(problem, estimate, sigma).reduced(estimate, weighed)
+        own, variance = _posterior(reduced, noise_px)
+        total = estimate.deviations + own[:, 6:]
+        new = []
+        for part, (s, unit) in enumerate(zip(sigma, (1.0, size), strict=True)):
+            columns = slice(3 * part, 3 * part + 3)
+            squares = float(np.sum(total[:, columns] ** 2))
+            determined = max(total[:, columns].size - float(variance[:, columns].sum()) / s**2, 0.5)
+            new.append(max(float(np.sqrt(squares / determined)), LEAST_SHARE * unit))
+        change = max(abs(np.log(a / b)) for a, b in zip(new, sigma, strict=True))
+        sigma = (new[0], new[1])
+        if change < SETTLED_LOG:
+            break
+    return sigma
+
+
+def determined_deviations(problem: RealViewsProblem, reduced: ReducedSystem, noise_px: float) -> float:
+    """How many of the deviations' components the data determine, beyond their prior."""
+    if problem.deviation_sigma is None:
+        return 0.0
+    inverse = reduced.inverse_L[:, :, 6:]
+    variance = np.einsum("vqp,vqp->vp", inverse, inverse) * noise_px**2
+    return float((1 - variance / np.repeat(problem.deviation_sigma, 3) ** 2)[reduced.is_determined].sum())
+
+
+def _posterior(reduced: ReducedSystem, noise_px: float) -> tuple[Float[ndarray, "V P"], Float[ndarray, "V 6"]]:
+    """The views' own step, and the variances of their deviations with all shared unknowns free."""
+    x = solve_symmetric(reduced.information, reduced.gradient)
+    own = np.einsum("vqp,vq->vp", reduced.inverse_L, reduced.y - reduced.Y @ x)
+    inverse = reduced.inverse_L[:, :, 6:]
+    variance = np.einsum("vqp,vqp->vp", inverse, inverse)
+    coupling = inverse.swapaxes(1, 2) @ reduced.Y  # (V, 6, z)
+    V, _, z = coupling.shape
+    flat = coupling.reshape(-1, z)
+    variance += np.einsum("iz,zi->i", flat, solve_symmetric(reduced.information, flat.T)).reshape(V, 6)
+    return own, variance * noise_px**2
