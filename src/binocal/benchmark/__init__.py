@@ -42,6 +42,12 @@ def _rig(**options: Any) -> dict[str, Any]:
     return run_rig_benchmark(**options)
 
 
+def _real(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.real import run_real_benchmark
+
+    return run_real_benchmark(**options)
+
+
 def _scale(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.scale import run_scale_benchmark
 
@@ -66,6 +72,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "detection": _detection,
     "pipeline": _pipeline,
     "precision": _precision,
+    "real": _real,
     "rig": _rig,
     "scale": _scale,
     "solver": _solver,

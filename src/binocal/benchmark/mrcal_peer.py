@@ -1,12 +1,13 @@
 """mrcal as a peer: seed and solve in a process of its own, in the Python that has mrcal, which times itself.
 
-The solve is what ``mrcal-calibrate-cameras`` does: stereographic seed, poses alone, core, then everything with
-LENSMODEL_OPENCV5 and outlier rejection; the board is held flat, as it is for the others.
+The solve is what ``mrcal-calibrate-cameras`` does: stereographic seed, poses alone, core, then everything with its model
+and outlier rejection. The board is held flat, as it is for the others, unless its warp is asked for.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import subprocess
@@ -14,40 +15,47 @@ import sys
 from functools import cache
 
 import numpy as np
+from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.cameras import Camera, StereoRig
 from binocal.evidence import Detections
-from binocal.geometry import so3
+from binocal.geometry import SE3, so3
+from binocal.shapes import Float
 
 ENVIRONMENT = "BINOCAL_MRCAL_PYTHON"  # a Python that can import mrcal, where neither this one nor the system's can
+LENS_MODELS = {"brown4": "LENSMODEL_OPENCV4", "brown5": "LENSMODEL_OPENCV5", "brown8": "LENSMODEL_OPENCV8"}
+LEAST_CORNERS = 6  # of an image: fewer hardly determine the board's pose
 
 _SCRIPT = """
-import io, os, sys, time
+import io, json, os, sys, time
 import numpy as np
 data = np.load(io.BytesIO(sys.stdin.buffer.read()))
 import mrcal
-observations, focal = data["observations"], float(data["focal"])
-sizes, spacing = data["sizes"], float(data["spacing"])
-n = len(observations) // 2
-frame_camera = np.stack([np.repeat(np.arange(n), 2), np.tile([0, 1], n)], axis=-1).astype(np.int32)
+observations, frame_camera, focal = data["observations"], data["frame_camera"], float(data["focal"])
+sizes, spacing, lens = data["sizes"], float(data["spacing"]), str(data["lens"])
 indices = np.concatenate([frame_camera, frame_camera[:, 1:] - 1], axis=-1).astype(np.int32)
 stdout, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
 os.dup2(null, 1), os.dup2(null, 2)
 start = time.perf_counter()
 intrinsics, rig, frames = mrcal.seed_stereographic(sizes, focal, frame_camera, observations, spacing)
 def solve(model, intrinsics, **options):
-    mrcal.optimize(intrinsics, rig, frames, None, observations, indices, None, None, model, imagersizes=sizes,
-                   do_optimize_calobject_warp=False, calibration_object_spacing=spacing, verbose=False, **options)
+    options = {"do_optimize_calobject_warp": False} | options
+    return mrcal.optimize(intrinsics, rig, frames, None, observations, indices, None, None, model, imagersizes=sizes,
+                          calibration_object_spacing=spacing, verbose=False, **options)
 for core in (False, True):
     solve("LENSMODEL_STEREOGRAPHIC", intrinsics, do_optimize_intrinsics_core=core, do_optimize_intrinsics_distortions=False,
           do_apply_outlier_rejection=False, do_apply_regularization=False)
-more = mrcal.lensmodel_num_params("LENSMODEL_OPENCV5") - 4
+more = mrcal.lensmodel_num_params(lens) - 4
 intrinsics = np.concatenate([intrinsics, (np.random.default_rng(0).random((2, more)) - 0.5) * 2e-6], axis=-1)
-solve("LENSMODEL_OPENCV5", intrinsics, do_optimize_intrinsics_core=True, do_optimize_intrinsics_distortions=True,
-      do_apply_outlier_rejection=True, do_apply_regularization=True)
+whole = dict(do_optimize_intrinsics_core=True, do_optimize_intrinsics_distortions=True,
+             do_apply_outlier_rejection=True, do_apply_regularization=True)
+solve(lens, intrinsics, **whole)
+if data["warp"]:
+    solve(lens, intrinsics, calobject_warp=np.zeros(2), **(whole | {"do_optimize_calobject_warp": True}))
 elapsed = time.perf_counter() - start
 with os.fdopen(stdout, "w") as out:
-    out.write(" ".join(repr(float(x)) for x in (elapsed, *rig[0])))
+    json.dump({"elapsed_s": elapsed, "rt_right_left": rig[0].tolist(), "intrinsics": intrinsics.tolist()}, out)
 """
 
 
@@ -62,22 +70,85 @@ def find_mrcal() -> str | None:
 
 
 def run_mrcal(detections: Detections, board: Board, spacing_m: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """Seconds that seed and solve took, R and t of the rig. Corners must be complete, row by row.
+    """Seconds that seed and solve took, R and t of the rig. Corners are a grid, row by row.
 
     Raises:
         RuntimeError: mrcal failed.
     """
-    columns, rows = board.columns, board.rows
+    elapsed_s, rig = solve_with_mrcal(detections, (board.rows, board.columns, spacing_m))
+    return elapsed_s, rig.T_right_left.R, rig.T_right_left.t
+
+
+def calibrate_rig_with_mrcal(detections: Detections, model: str, *, with_warp: bool = True) -> StereoRig:
+    """The rig by mrcal with its outlier rejection and, unless declined, its two-parameter warp of the board.
+
+    Raises:
+        ValueError: The board's points are no square grid, row by row: mrcal knows no other board.
+        RuntimeError: mrcal failed.
+    """
+    return solve_with_mrcal(detections, grid_of(detections.object_points_m), model=model, with_warp=with_warp)[1]
+
+
+def grid_of(points_m: Float[ndarray, "n 3"]) -> tuple[int, int, float]:
+    """Rows, columns and spacing of board points that are a square grid, row by row.
+
+    Raises:
+        ValueError: They are not.
+    """
+    columns = int(np.argmax(points_m[:, 1] != points_m[0, 1])) or len(points_m)
+    rows = len(points_m) // columns
+    spacing_m = float(points_m[1, 0] - points_m[0, 0])
+    if rows * columns == len(points_m) and rows > 1 and columns > 1:
+        y, x = np.divmod(np.arange(len(points_m)), columns)
+        ideal = points_m[0] + spacing_m * np.stack([x, y, np.zeros_like(x)], axis=-1)
+        if np.abs(ideal - points_m).max() < 1e-6 * abs(spacing_m):
+            return rows, columns, spacing_m
+    raise ValueError("mrcal knows boards that are square grids alone; these points are none")
+
+
+def solve_with_mrcal(
+    detections: Detections, grid: tuple[int, int, float], *, model: str = "brown5", with_warp: bool = False
+) -> tuple[float, StereoRig]:
+    """Seconds that seed and solve took, and the rig. ``grid`` is the board's rows, columns and spacing; ``model`` a brown one.
+
+    Corners that were not seen are given no weight, and images with fewer than six left out.
+
+    Raises:
+        RuntimeError: mrcal failed.
+    """
+    rows, columns, spacing_m = grid
     pixels = np.stack([detections.left_px, detections.right_px], axis=1).reshape(-1, rows, columns, 2)
-    observations = np.concatenate([pixels, np.ones((*pixels.shape[:-1], 1))], axis=-1)
-    data = io.BytesIO()
+    is_seen = np.isfinite(pixels[..., 0])
+    weighted = np.concatenate([np.nan_to_num(pixels), np.where(is_seen, 1.0, -1.0)[..., None]], axis=-1)
+    frame_camera = np.argwhere(np.ones((detections.n_views, 2))).astype(np.int32)
+    is_used = is_seen.sum(axis=(1, 2)) >= min(LEAST_CORNERS, rows * columns)
+    used_frames, frames = np.unique(frame_camera[is_used, 0], return_inverse=True)
+    if not len(used_frames):
+        raise RuntimeError(f"no image has {LEAST_CORNERS} corners")
+    frame_camera = np.stack([frames, frame_camera[is_used, 1]], axis=-1).astype(np.int32)
     sizes = np.array([detections.left_size_wh, detections.right_size_wh], dtype=np.int32)
-    np.savez(data, observations=observations, focal=1.2 * sizes[0, 0], sizes=sizes, spacing=spacing_m)
+    data = io.BytesIO()
+    np.savez(
+        data,
+        observations=weighted[is_used],
+        frame_camera=frame_camera,
+        focal=1.2 * sizes[0, 0],
+        sizes=sizes,
+        spacing=spacing_m,
+        lens=LENS_MODELS[model],
+        warp=with_warp,
+    )
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
     done = subprocess.run(
         [find_mrcal() or "", "-c", _SCRIPT], input=data.getvalue(), capture_output=True, env=environment, timeout=600
     )
     if done.returncode != 0:
         raise RuntimeError(f"mrcal failed: {done.stderr.decode(errors='replace')[-500:]}")
-    values = np.array(done.stdout.split(), dtype=float)
-    return float(values[0]), so3.exp(values[1:4]), values[4:7]
+    found = json.loads(done.stdout)
+    left, right = (
+        Camera(model, (int(w), int(h)), np.r_[p[:4], 0.0, p[4:]])
+        for (w, h), p in zip(sizes, found["intrinsics"], strict=True)
+    )
+    rt = found["rt_right_left"]
+    T_right_left = SE3(so3.exp(np.array(rt[:3])), np.array(rt[3:]))
+    return found["elapsed_s"], StereoRig(left, right, T_right_left, detections.is_metric)

@@ -14,12 +14,15 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.cameras import Camera, StereoRig
 from binocal.errors import FormatError
 from binocal.evidence import Detections
+from binocal.geometry import SE3
 from binocal.shapes import Float
 
 WINDOW = (5, 5)  # of cornerSubPix: half its side
 Views = Sequence[ndarray]
+LEAST_CORNERS = 6  # of a view: fewer hardly determine the board's pose
 
 
 def read_grey(path: Path) -> ndarray:
@@ -79,3 +82,53 @@ def run_opencv(detections: Detections) -> tuple[float, ndarray, ndarray]:
     start = time.perf_counter()
     R, t = calibrate_views(detections.object_points_m, left, right, detections.left_size_wh)
     return time.perf_counter() - start, R, t
+
+
+def calibrate_rig(detections: Detections, model: str) -> StereoRig:
+    """The rig of a calibration of each camera from all that it saw, then the joint solve with intrinsics free.
+
+    ``model`` is ``brown4``, ``brown5``, ``brown8`` or ``fisheye4``, for which OpenCV has a module of its own. Views with fewer than
+    six corners are left out.
+
+    Raises:
+        ValueError: OpenCV has no such model.
+        cv2.error: OpenCV refuses the corners.
+    """
+    import cv2
+
+    sizes = (detections.left_size_wh, detections.right_size_wh)
+    seen = (detections.left_is_seen, detections.right_is_seen)
+    if model == "fisheye4":
+        solve_mono, solve_stereo = cv2.fisheye.calibrate, cv2.fisheye.stereoCalibrate
+        mono, stereo = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW, cv2.CALIB_FIX_SKEW
+        stereo |= cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_USE_INTRINSIC_GUESS
+    else:
+        kinds = {"brown4": cv2.CALIB_FIX_K3, "brown5": 0, "brown8": cv2.CALIB_RATIONAL_MODEL}
+        if model not in kinds:
+            raise ValueError(f"OpenCV has no camera model {model!r}")
+        solve_mono, solve_stereo = cv2.calibrateCamera, cv2.stereoCalibrate
+        mono, stereo = kinds[model], kinds[model] | cv2.CALIB_USE_INTRINSIC_GUESS
+    cameras: list[ndarray] = []
+    for px, is_seen, size_wh in zip((detections.left_px, detections.right_px), seen, sizes, strict=True):
+        points, (corners,) = _seen_corners(detections.object_points_m, is_seen, px)
+        _, K, coefficients, *_ = solve_mono(points, corners, size_wh, None, None, flags=mono)  # pyright: ignore
+        cameras += [K, coefficients]
+    both = seen[0] & seen[1]
+    points, (left, right) = _seen_corners(detections.object_points_m, both, detections.left_px, detections.right_px)
+    _, K_l, d_l, K_r, d_r, R, t, *_ = solve_stereo(points, left, right, *cameras, sizes[0], flags=stereo)  # pyright: ignore
+    n = {"brown4": 4, "brown5": 5, "brown8": 8, "fisheye4": 4}[model]
+    left_camera, right_camera = (
+        Camera(model, size, np.r_[K[0, 0], K[1, 1], K[0, 2], K[1, 2], 0.0, np.ravel(d)[:n]])
+        for size, K, d in zip(sizes, (K_l, K_r), (d_l, d_r), strict=True)
+    )
+    return StereoRig(left_camera, right_camera, SE3(R, np.ravel(t)), detections.is_metric)
+
+
+def _seen_corners(
+    points_m: Float[ndarray, "n 3"], is_seen: ndarray, *px: Float[ndarray, "views n 2"]
+) -> tuple[list[ndarray], list[list[ndarray]]]:
+    """Board points, and corners of each camera, of the views with enough of them."""
+    views = np.nonzero(is_seen.sum(axis=1) >= LEAST_CORNERS)[0]
+    # The fisheye module takes rows (1, n, c) alone; 32 bits, which calibrateCamera insists on, round by less than 1e-4 px.
+    points = [points_m[is_seen[v]][None].astype(np.float32) for v in views]
+    return points, [[side[v][is_seen[v]][None].astype(np.float32) for v in views] for side in px]

@@ -432,6 +432,10 @@ def train(
 @app.command()
 def bench(
     name: Annotated[str, typer.Argument(help="Which benchmark, such as solver.", metavar="NAME")],
+    sets: Annotated[
+        list[str] | None, typer.Argument(help="For real: folders, files of corners or names.", metavar="[SET]...")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="For real: three recordings, three splits.")] = False,
     seed: Seed = 0,
     threads: Threads = None,
     json: Json = False,
@@ -439,8 +443,10 @@ def bench(
     """Measure binocal against the peers that are installed on this machine."""
     from binocal.benchmark import run
 
+    if name != "real" and (sets or quick):
+        raise typer.BadParameter(f"recordings and --quick belong to `bench real`, not to `bench {name}`.")
     try:
-        table = run(name, seed=seed)
+        table = run(name, seed=seed, **({"sets": sets or (), "quick": quick} if name == "real" else {}))
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     _present({key: value for key, value in table.items() if key != "text"}, table["text"], json)

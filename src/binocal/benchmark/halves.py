@@ -1,0 +1,171 @@
+"""How two calibrations of one rig differ, each from half of the views, and whether their stated sigmas say so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.cameras import StereoRig
+from binocal.errors import BinocalError
+from binocal.evidence import Detections
+from binocal.geometry import so3
+from binocal.rectification import rectify, rectify_points
+from binocal.result import StereoCalibration
+from binocal.shapes import Float, Int
+
+GROUPS = {"baseline": slice(0, 1), "rotation": slice(1, 4), "focal": slice(4, 8), "centre": slice(8, 12)}
+"""Places in the vector of compared figures: baseline (m), rotation vector (rad), focal lengths and principal points (px)."""
+N_FIGURES = 12
+_INTRINSICS = tuple(
+    f"{side}.{name}" for pair in (("fx", "fy"), ("cx", "cy")) for side in ("left", "right") for name in pair
+)
+
+
+def split_halves(
+    n_views: int, used: Int[ndarray, "k"], n_splits: int, seed: Sequence[int]
+) -> list[tuple[Int[ndarray, "a"], Int[ndarray, "b"]]]:
+    """Random halves of the ``used`` ones of ``n_views`` views; the second has one more where they are odd.
+
+    All views are put in a random order and the used ones cut in two, so that one view more or less hardly changes the halves.
+    """
+    rng, is_used = np.random.default_rng(list(seed)), np.zeros(n_views, dtype=bool)
+    is_used[used] = True
+    halves = []
+    for _ in range(n_splits):
+        order = rng.permutation(n_views)
+        order = order[is_used[order]]
+        middle = len(order) // 2
+        halves.append((np.sort(order[:middle]), np.sort(order[middle:])))
+    return halves
+
+
+def differences(a: StereoRig, b: StereoRig) -> Float[ndarray, "12"]:
+    """First minus second rig, see :data:`GROUPS`.
+
+    The rotation vector takes the second's ``R`` to the first's, from the left: it lives in the right camera's frame.
+    """
+    intrinsics = [
+        getattr(x, side).parameters[2 * i : 2 * i + 2] for x in (a, b) for i in (0, 1) for side in ("left", "right")
+    ]
+    turn_rad = so3.log(a.T_right_left.R @ b.T_right_left.R.T)
+    return np.r_[a.baseline_m - b.baseline_m, turn_rad, np.ravel(intrinsics[:4]) - np.ravel(intrinsics[4:])]
+
+
+def stated_sigmas(calibration: StereoCalibration) -> Float[ndarray, "12"]:
+    """Standard deviations that a calibration states of the figures of :data:`GROUPS`; NaN where it states none."""
+    sigma = calibration.covariance.sigma
+    rotation = [sigma.get(f"rotation.{axis}", np.nan) for axis in "xyz"]
+    return np.r_[
+        baseline_sigma_without_board_scale(calibration), rotation, [sigma.get(name, np.nan) for name in _INTRINSICS]
+    ]
+
+
+def baseline_sigma_without_board_scale(calibration: StereoCalibration) -> float:
+    """The baseline's standard deviation for a comparison between halves, which share the board and so any error of its size.
+
+    A result that counts the board's scale in its covariance has that part taken out here.
+    """
+    return calibration.baseline_sigma_m
+
+
+def row_errors(rig: StereoRig, detections: Detections) -> Float[ndarray, "views n"]:
+    """Left minus right row of the rectified corners (columns, for cameras one above the other), px; NaN unless both saw it.
+
+    Also NaN where a camera model has no ray for the corner: count those.
+
+    Raises:
+        BinocalError: The rig cannot be rectified.
+    """
+    rectified = rectify(rig)
+    axis = 0 if rectified.is_vertical else 1
+    rows = (
+        rectify_points(camera, R, P, px)[..., axis]
+        for camera, R, P, px in (
+            (rig.left, rectified.R_rect_left, rectified.P_left, detections.left_px),
+            (rig.right, rectified.R_rect_right, rectified.P_right, detections.right_px),
+        )
+    )
+    left, right = rows
+    return left - right
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """What a method made of a half: its rig, the sigmas it states if any, codes of its findings; or why it made none."""
+
+    rig: StereoRig | None = None
+    sigmas: Float[ndarray, "12"] | None = None
+    findings: tuple[str, ...] = ()
+    failure: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutRows:
+    """Row errors of a rig on views that it was not computed from, px: RMS of all corners, and that of the median view.
+
+    NaN where the rig cannot be rectified. ``n_without_ray`` corners count in neither: the camera model has no ray for them.
+    """
+
+    rms_px: float
+    median_view_px: float
+    n_without_ray: int
+
+
+def held_out_rows(rig: StereoRig, detections: Detections) -> HeldOutRows:
+    """Row errors on views that the rig was not computed from."""
+    try:
+        error = row_errors(rig, detections)
+    except BinocalError:
+        return HeldOutRows(np.nan, np.nan, 0)
+    both = detections.left_is_seen & detections.right_is_seen
+    per_view = np.array([rms(view) for view in error])
+    median_px = float(np.nanmedian(per_view)) if np.isfinite(per_view).any() else np.nan
+    return HeldOutRows(rms(error), median_px, int((both & np.isnan(error)).sum()))
+
+
+def differences_by_split(pairs: Sequence[tuple[Estimate, Estimate]]) -> dict[str, Float[ndarray, "splits"]]:
+    """Differences of the halves of each split; NaN where one of them failed.
+
+    Angle of the rotation (deg), baseline (% of the mean of both, signed), RMS over the focal lengths and principal points (px).
+    """
+    delta = np.full((len(pairs), N_FIGURES), np.nan)
+    mean_m = np.full(len(pairs), np.nan)
+    for i, (a, b) in enumerate(pairs):
+        if a.rig is not None and b.rig is not None:
+            delta[i] = differences(a.rig, b.rig)
+            mean_m[i] = (a.rig.baseline_m + b.rig.baseline_m) / 2
+    return {
+        "rotation_deg": np.degrees(np.linalg.norm(delta[:, GROUPS["rotation"]], axis=1)),
+        "baseline_percent": 100 * delta[:, 0] / mean_m,
+        "focal_centre_px": np.sqrt(np.mean(delta[:, 4:] ** 2, axis=1)),
+    }
+
+
+def z_scores(pairs: Sequence[tuple[Estimate, Estimate]]) -> Float[ndarray, "splits 12"]:
+    """Differences of halves over the stated sigma of the difference; splits in which a half failed or states none are left out."""
+    scores = [
+        differences(a.rig, b.rig) / np.sqrt(a.sigmas**2 + b.sigmas**2)
+        for a, b in pairs
+        if a.rig is not None and b.rig is not None and a.sigmas is not None and b.sigmas is not None
+    ]
+    return np.array(scores).reshape(-1, N_FIGURES)
+
+
+def summarise_z(scores: Float[ndarray, "splits 12"]) -> dict[str, dict[str, float]]:
+    """RMS and shares within 1 and 2 of each group of figures and of ``all``; figures without a stated sigma do not count."""
+    groups = {name: scores[:, place] for name, place in GROUPS.items()} | {"all": scores}
+    summary = {}
+    for name, group in groups.items():
+        z = np.abs(group[np.isfinite(group)])
+        within = (np.nan, np.nan) if not len(z) else (float(np.mean(z < 1)), float(np.mean(z < 2)))
+        summary[name] = {"rms": rms(z), "within_1": within[0], "within_2": within[1], "n": len(z)}
+    return summary
+
+
+def rms(values: ndarray) -> float:
+    """Root of the mean square of what is not NaN; NaN of nothing."""
+    known = np.asarray(values)[~np.isnan(values)]
+    return float(np.sqrt(np.mean(np.square(known)))) if known.size else np.nan
