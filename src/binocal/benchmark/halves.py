@@ -27,16 +27,16 @@ _INTRINSICS = tuple(
 def split_halves(
     n_views: int, used: Int[ndarray, "k"], n_splits: int, seed: Sequence[int]
 ) -> list[tuple[Int[ndarray, "a"], Int[ndarray, "b"]]]:
-    """Random halves of the ``used`` ones of ``n_views`` views; the second has one more where they are odd.
+    """Random halves of the ``used`` ones of ``n_views`` views, as places in ``used``; the second has one more where they are odd.
 
     All views are put in a random order and the used ones cut in two, so that one view more or less hardly changes the halves.
     """
-    rng, is_used = np.random.default_rng(list(seed)), np.zeros(n_views, dtype=bool)
-    is_used[used] = True
+    rng, place = np.random.default_rng(list(seed)), np.full(n_views, -1)
+    place[used] = np.arange(len(used))
     halves = []
     for _ in range(n_splits):
-        order = rng.permutation(n_views)
-        order = order[is_used[order]]
+        order = place[rng.permutation(n_views)]
+        order = order[order >= 0]
         middle = len(order) // 2
         halves.append((np.sort(order[:middle]), np.sort(order[middle:])))
     return halves

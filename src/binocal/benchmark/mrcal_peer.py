@@ -38,7 +38,8 @@ indices = np.concatenate([frame_camera, frame_camera[:, 1:] - 1], axis=-1).astyp
 stdout, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
 os.dup2(null, 1), os.dup2(null, 2)
 start = time.perf_counter()
-intrinsics, rig, frames = mrcal.seed_stereographic(sizes, focal, frame_camera, observations, spacing)
+seen = np.where(observations[..., 2:] > 0, observations, np.nan)  # 2.2's seed counts corners of negative weight, not NaN
+intrinsics, rig, frames = mrcal.seed_stereographic(sizes, focal, frame_camera, seen, spacing)
 def solve(model, intrinsics, **options):
     options = {"do_optimize_calobject_warp": False} | options
     return mrcal.optimize(intrinsics, rig, frames, None, observations, indices, None, None, model, imagersizes=sizes,

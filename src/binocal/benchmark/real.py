@@ -12,7 +12,7 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -160,12 +160,16 @@ def run_set(recording: RealSet, n_splits: int, seed: int) -> tuple[dict[str, Any
 
 
 def _used_views(recording: RealSet) -> tuple[_Views, ndarray]:
-    """Views that a calibration of all of them used, corner orders repaired, the board as it was given; and which they are."""
+    """Views that a calibration of all of them used, with the corners as detected in repaired orders; and which they are."""
     given, model = recording.detections, recording.source.model
-    repaired = replace(calibrate(given, model=model).corners.detections, object_points_m=given.object_points_m)
-    own = recording.opencv_detections
+    full = calibrate(given, model=model)
     place = {name: i for i, name in enumerate(given.names)}
-    used = np.array([place[name] for name in repaired.names], dtype=int)
+    used = np.array([place[view.name] for view in full.views], dtype=int)
+    repaired = given.select(used)
+    for side in ("left", "right"):
+        orders = {i: np.array(order) for i, view in enumerate(full.views) if (order := getattr(view, f"{side}_order"))}
+        repaired = repaired.reorder(side, orders)
+    own = recording.opencv_detections
     return _Views(repaired, None if own is None else same_points(own, repaired), model), used
 
 
@@ -212,10 +216,9 @@ def _by_peer(solve: Callable[[Detections, str], StereoRig], detections: Detectio
     assert detections is not None, "a method that needs OpenCV's corners is not asked where there are none"
     try:
         rig = solve(detections, model)
-    except (cv2.error, RuntimeError, ValueError) as error:
+    except (cv2.error, RuntimeError, ValueError) as error:  # ValueError: cameras that are none, such as those of NaN
         return Estimate(failure=_one_line(error))
-    is_finite = all(np.isfinite(x).all() for x in (rig.left.parameters, rig.right.parameters, rig.T_right_left.t))
-    return Estimate(rig) if is_finite else Estimate(failure="the rig is not finite")
+    return Estimate(rig) if np.isfinite(rig.T_right_left.t).all() else Estimate(failure="the rig is not finite")
 
 
 def _one_line(error: Exception) -> str:
