@@ -81,7 +81,7 @@ def test_failures_of_halves_are_counted_and_named(tmp_path, monkeypatch, without
         return true_calibrate(detections, model=model)
 
     def no_peer(detections, model):
-        raise ValueError("unsuitable corners")
+        raise ValueError("unsuitable corners" + ", and more of it" * 10)
 
     true_calibrate = real.calibrate
     monkeypatch.setattr(real, "calibrate", calibrate)
@@ -95,7 +95,7 @@ def test_failures_of_halves_are_counted_and_named(tmp_path, monkeypatch, without
     assert methods["OpenCV"]["n_failed"] == 4 and np.isnan(methods["OpenCV"]["rows_rms_px"])
     text = table["text"]
     assert "failed: hard, binocal, 2 of the halves: no minimum in 100 iterations" in text
-    assert "failed: hard, OpenCV, 4 of the halves: unsuitable corners" in text
+    assert "failed: hard, OpenCV, 4 of the halves: unsuitable corners, and" in text
     assert max(map(len, text.splitlines())) <= real_table.WIDTH
 
 
