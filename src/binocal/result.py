@@ -212,6 +212,8 @@ class StereoCalibration:
     """The board's pose in the right camera of each view where the exposures were apart, see :class:`Evidence`; else None."""
     exposure: ExposureFit | None = None
     """How each camera alone fits against the pair; None where that is not known."""
+    nominal_noise_px: float | None = None
+    """``noise_px`` as it would be with the board held as drawn and the exposures together; None where that is not known."""
     extra: Mapping[str, Any] = field(default_factory=dict)
     """What the file that it was read from says beyond this class, by key; written back as it is."""
 

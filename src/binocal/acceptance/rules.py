@@ -18,6 +18,7 @@ from binocal.acceptance.figures import (
 from binocal.acceptance.views import describe_views
 from binocal.findings import KINDS, Finding, Severity, finding, refusal
 from binocal.result import StereoCalibration
+from binocal.solvers import robust
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +105,16 @@ def _residuals(calibration: StereoCalibration) -> Figures:
 
 
 def _count_outliers(calibration: StereoCalibration) -> tuple[int, int]:
-    """Corners without weight, and all corners of the used views."""
-    return sum(v.n_outliers for v in calibration.views), sum(v.n_corners for v in calibration.views)
+    """Corners that would have no weight on a board as drawn either, and all corners of the used views.
+
+    Once the board is measured the kernel closes on a noise two to four times smaller, and corners of images that are merely worse
+    lose their weight too; that is no fault of theirs.
+    """
+    least_px = 0.0
+    if calibration.nominal_noise_px is not None and calibration.nominal_noise_px > calibration.noise_px:
+        least_px = robust.HAMPEL_END * calibration.nominal_noise_px
+    n_outliers = sum(sum(o.distance_px >= least_px for o in v.outliers) for v in calibration.views)
+    return n_outliers, sum(v.n_corners for v in calibration.views)
 
 
 def _outliers(calibration: StereoCalibration) -> Figures:

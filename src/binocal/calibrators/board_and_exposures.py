@@ -16,7 +16,7 @@ from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
 from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, estimate_variances
-from binocal.solvers.board_views import BundleMinimum, BundleProblem, CameraObservations
+from binocal.solvers.board_views import BundleMinimum, BundleProblem
 from binocal.solvers.exposures import (
     APART_RATIO,
     PairFit,
@@ -43,10 +43,6 @@ MAX_STRETCHES = 8
 RIG_TOLERANCE_SIGMA = 0.3  # over all parameters of the rig: a twentieth of a standard deviation for one
 COARSE = LoopOptions(tolerance_sigma=0.5, max_iterations=4)
 FINE = LoopOptions(tolerance_sigma=0.3, max_iterations=3, initial_damping=RESUMED_DAMPING)
-POOLED_CORNERS = 10  # an image's own noise is known from 88 corners to 9 %
-MIN_IMAGE_CORNERS = 6
-MEDIAN_SCATTER = 0.83  # of the noise from the median residual of n corners, times sqrt(n)
-UNEVEN_RATIO = 1.5  # of the images' scatter over what chance makes of it
 MIN_POINTS = 9  # fewer are determined by their poses and the lens
 MIN_VIEWS_TO_FREE = 4
 MIN_FREEDOM_SHARE = 0.25  # of the measurements: what must be left once every point is free
@@ -61,6 +57,8 @@ class RealViewsSolve:
     reduced: ReducedSystem
     """At the minimum, priors weighed against ``noise_px``."""
     noise_px: float
+    nominal_noise_px: float
+    """With the board as drawn and the exposures together."""
     pair: PairFit
     shape: ShapeEvidence | None = None
     n_iterations: int = 0
@@ -93,51 +91,14 @@ def solve_real_views(
     minimum: RealViewsMinimum = Minimum(
         estimate, equations, known.scale_px, known.kernel, known.n_iterations, known.is_converged, known.options
     )
-    solve = _measured(problem, minimum, None, PairFit(1.0, 1.0), 0)
+    solve = _measured(problem, minimum)
     if board_shape != "flat" and _can_free(problem, solve, board_shape):
         solve = _with_board_freed(solve, board_shape)
     pair = _pair_fit(solve)
     solve = replace(solve, pair=pair)
     if exposure == "apart" or (exposure == "auto" and pair.ratio < APART_RATIO):
         solve = _with_exposures_freed(solve, board_shape)
-    return _weighed_by_image(solve) if solve.is_freed else solve
-
-
-def _weighed_by_image(solve: RealViewsSolve) -> RealViewsSolve:
-    """The solve with a noise of its own for every image, where they differ by more than chance.
-
-    Images are not equally sharp, and what still misfits shows more in some. An image's noise is the median of its residuals,
-    shrunk towards that of all images by :data:`POOLED_CORNERS` corners.
-    """
-    problem, minimum = solve.problem, solve.minimum
-    n_seen, variance = [], []
-    for camera, e in zip(problem.cameras, minimum.equations.cameras, strict=True):
-        n_seen.append(camera.is_seen.sum(axis=1))
-        own = [
-            np.median(r2[is_seen]) if is_seen.any() else 0.0
-            for r2, is_seen in zip(e.r2_px2, camera.is_seen, strict=True)
-        ]
-        variance.append(np.array(own) / robust.MEDIAN_OF_RAYLEIGH**2)
-    n, own = np.array(n_seen), np.array(variance)
-    has_corners = n >= MIN_IMAGE_CORNERS
-    if has_corners.sum() < 2:
-        return solve
-    common = float(minimum.scale_px) ** 2
-    logs = 0.5 * np.log(np.maximum(own[has_corners], 1e-12) / common)
-    if np.std(logs) < UNEVEN_RATIO * np.sqrt(np.mean(MEDIAN_SCATTER**2 / n[has_corners])):
-        return solve
-    shrunk = np.where(has_corners, (n * own + POOLED_CORNERS * common) / (n + POOLED_CORNERS), common)
-    factors = np.sqrt(common / shrunk)
-    cameras = tuple(_weighed(camera, factor) for camera, factor in zip(problem.nominal.cameras, factors, strict=True))
-    weighed = replace(problem, nominal=replace(problem.nominal, cameras=cameras))
-    return _minimized(weighed, solve, FINE, solve.shape)
-
-
-def _weighed(camera: CameraObservations, factors: Float[ndarray, "views"]) -> CameraObservations:
-    """The observations with every view's residuals multiplied by a factor."""
-    one = np.array([1.0, 0.0, 1.0])[:, None] if camera.whitening is None else camera.whitening
-    whitening = np.broadcast_to(one * factors[:, None, None], (*camera.is_seen.shape[:1], 3, camera.is_seen.shape[1]))
-    return replace(camera, whitening=np.ascontiguousarray(whitening))
+    return solve
 
 
 def _can_free(problem: RealViewsProblem, solve: RealViewsSolve, board_shape: BoardShapeChoice) -> bool:
@@ -233,7 +194,10 @@ def _minimized(
     """
     for _ in range(MAX_STRETCHES):
         minimum = minimize(problem, solve.minimum.estimate, options)
-        solve = _measured(problem, minimum, shape, solve.pair, solve.n_iterations + int(minimum.n_iterations))
+        n_iterations = solve.n_iterations + int(minimum.n_iterations)
+        nominal_px = solve.nominal_noise_px
+        solve = replace(_measured(problem, minimum), pair=solve.pair, shape=shape, n_iterations=n_iterations)
+        solve = replace(solve, nominal_noise_px=nominal_px)
         if bool(minimum.is_converged) or not np.isfinite(solve.noise_px):
             break
         if rig_step_sigma(solve) < RIG_TOLERANCE_SIGMA:
@@ -248,13 +212,7 @@ def rig_step_sigma(solve: RealViewsSolve) -> float:
     return float(np.sqrt(max(x @ cameras_information(reduced) @ x, 0.0)) / solve.noise_px)
 
 
-def _measured(
-    problem: RealViewsProblem,
-    minimum: RealViewsMinimum,
-    shape: ShapeEvidence | None,
-    pair: PairFit,
-    n_iterations: int,
-) -> RealViewsSolve:
+def _measured(problem: RealViewsProblem, minimum: RealViewsMinimum) -> RealViewsSolve:
     """The solve with its noise: weighted residuals, corrected for all that was fitted, priors counted."""
     reduced = problem.reduced(minimum.estimate, minimum.equations)
     scale = float(minimum.equations.scale_px)
@@ -265,7 +223,7 @@ def _measured(
     if problem.has_priors and np.isfinite(noise_px):
         weighed = replace(minimum.equations, scale_px=np.asarray(max(noise_px, robust.SCALE_FLOOR_PX)))
         reduced = problem.reduced(minimum.estimate, weighed)
-    return RealViewsSolve(problem, minimum, reduced, noise_px, pair, shape, n_iterations)
+    return RealViewsSolve(problem, minimum, reduced, noise_px, noise_px, PairFit(1.0, 1.0))
 
 
 def _rss(equations: RealViewsEquations) -> float:

@@ -121,6 +121,7 @@ def summarize(
         covariance=Covariance(shared_names(problem.nominal), covariance),
         rms=ResidualSummary(float(left_px), float(right_px), float(all_px)),
         noise_px=solve.noise_px,
+        nominal_noise_px=solve.nominal_noise_px,
         views=views,
         rejected=rejected,
         findings=(*findings, *_shape_findings(solve, board_shape, detections.is_metric)),

@@ -109,6 +109,7 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
             "provenance": calibration.provenance,
         }
         | ({} if calibration.misfit_px is None else {"misfit_px": calibration.misfit_px})
+        | ({} if calibration.nominal_noise_px is None else {"nominal_noise_px": calibration.nominal_noise_px})
         | ({} if calibration.board_shape is None else {"board_shape": calibration.board_shape})
         | ({} if calibration.exposure is None else {"exposure": calibration.exposure})
     )
@@ -250,6 +251,7 @@ def read_calibration(path: str | Path) -> StereoCalibration:
         provenance=top.mapping("provenance").value,
         T_left_board=_parse_poses(views) if any("R" in view.value for view in views) else None,
         T_right_board=_parse_poses(views, "R_right", "T_right") if any("R_right" in v.value for v in views) else None,
+        nominal_noise_px=top.number("nominal_noise_px") if "nominal_noise_px" in top.value else None,
         board_shape=parse_board_shape(top),
         exposure=_parse_exposure(top),
         misfit_px=top.number("misfit_px", allow_null=True) if "misfit_px" in top.value else None,
