@@ -19,6 +19,7 @@ from binocal.solvers.board_shape import ShapeModel, describe_shape, hidden_direc
 from binocal.solvers.board_views import BundleEstimate
 from binocal.solvers.exposures import board_centres, compare_with_cameras_alone
 from binocal.solvers.jackknife import excess_of_scores, shifts_without, student_factor
+from binocal.solvers.joint_system import reduce, solve_symmetric
 from binocal.solvers.minimization import minimize
 from binocal.solvers.real_views import RealViewsEstimate, RealViewsProblem, RealViewsStep
 
@@ -109,6 +110,56 @@ def test_the_gradient_is_that_of_the_cost():
 
         predicted = -(gradient @ np.r_[shared, points] + np.sum(system.own_gradient * own))
         assert (cost(1) - cost(-1)) / 2 == pytest.approx(predicted, rel=1e-5)
+
+
+@pytest.mark.parametrize("has_points", [False, True])
+@pytest.mark.parametrize("deviates", [False, True])
+def test_the_compiled_reduction_is_the_plain_one(has_points, deviates):
+    _, detections = recording(3, 9)
+    problem, minimum = nominal_of(detections)
+    rng = np.random.default_rng(0)
+    real = RealViewsProblem(problem)
+    estimate = real.start(minimum.estimate)
+    if has_points:
+        real = replace(real, shape_information=np.eye(3 * len(BOARD.object_points_m)) * 1e7)
+    if deviates:
+        real = replace(real, deviation_sigma=(1e-2, 1e-3), centres=board_centres(real, estimate))
+        estimate = replace(estimate, deviations=rng.normal(0, 1e-3, (9, 6)))
+    seen = problem.cameras[1].is_seen.copy()
+    seen[4] = False  # a view of the left camera alone: its deviation is its prior
+    cameras = (problem.cameras[0], replace(problem.cameras[1], is_seen=seen))
+    real = replace(real, nominal=replace(problem, cameras=cameras))
+    equations = real.linearize(estimate, np.array(0.2), "squared")
+    for growth in (1.0, 1.7):
+        compiled, plain = real.reduced(estimate, equations, growth), reduce(real.system(estimate, equations), growth)
+        size = np.sqrt(np.diagonal(plain.information))
+        np.testing.assert_allclose(
+            compiled.information / np.outer(size, size), plain.information / np.outer(size, size), atol=1e-9
+        )
+        for name in ("gradient", "own_gradient", "own_diagonal", "view_scores", "y"):
+            ours, theirs = getattr(compiled, name), getattr(plain, name)
+            np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-7 * np.abs(theirs).max())
+        lost = [np.einsum("ivp,jvp->ij", r.Y, r.Y) / np.outer(size, size) for r in (compiled, plain)]
+        np.testing.assert_allclose(*lost, atol=1e-9)
+        own = [r.own_step(np.ones(r.n_all) * 1e-3 / size) for r in (compiled, plain)]
+        np.testing.assert_allclose(*own, rtol=1e-5, atol=1e-9 * np.abs(own[1]).max())
+        k = plain.n_shared
+        np.testing.assert_allclose(
+            compiled.view_information / np.outer(size[:k], size[:k]),
+            plain.view_information / np.outer(size[:k], size[:k]),
+            atol=1e-9,
+        )
+
+
+def test_definite_equations_are_solved_and_others_named():
+    rng = np.random.default_rng(0)
+    for z, r in ((1, 1), (7, 3), (70, 40)):
+        A = rng.normal(size=(z, z))
+        A = A @ A.T + z * np.eye(z)
+        b = rng.normal(size=(z, r))
+        np.testing.assert_allclose(solve_symmetric(A, b), np.linalg.solve(A, b), rtol=1e-10, atol=1e-12)
+    assert np.isnan(solve_symmetric(np.array([[1.0, 2.0], [2.0, 1.0]]), np.ones(2))).all()
+    assert np.isnan(solve_symmetric(np.array([[np.nan, 0.0], [0.0, 1.0]]), np.ones(2))).all()
 
 
 def test_without_anything_freed_the_shared_equations_are_those_of_the_nominal_problem():
@@ -207,7 +258,7 @@ def test_leaving_a_view_out_moves_the_rig_as_the_equations_say():
     for shape in ("flat", "free"):
         problem, minimum = nominal_of(detections)
         solve = solve_real_views(problem, minimum, board_shape=shape, exposure="together")
-        shifts = shifts_without(solve.reduced)
+        shifts = shifts_without(solve.reduced, solve.problem.system(solve.minimum.estimate, solve.minimum.equations))
         sigma = 1 / np.sqrt(np.diagonal(solve.reduced.information)[: shifts.shape[1]]) * solve.noise_px
         for view in (0, 4):
             keep = np.arange(10) != view
@@ -235,11 +286,12 @@ def test_leaving_a_view_out_moves_the_rig_as_the_equations_say():
 def test_the_series_of_the_jackknife_is_its_solution():
     _, detections = recording(8, 16)
     problem, minimum = nominal_of(detections)
-    reduced = solve_real_views(problem, minimum, board_shape="free", exposure="together").reduced
+    solve = solve_real_views(problem, minimum, board_shape="free", exposure="together")
     from binocal.solvers.jackknife import _by_series, _directly
 
-    scores, k = reduced.view_scores(), reduced.system.n_shared
-    series, direct = (-f(reduced, scores)[:, :k] for f in (_by_series, _directly))
+    reduced, k = solve.reduced, solve.reduced.n_shared
+    system = solve.problem.system(solve.minimum.estimate, solve.minimum.equations)
+    series, direct = (-f(reduced, system)[:, :k] for f in (_by_series, _directly))
     assert np.abs(series - direct).max(axis=0) == pytest.approx(0, abs=3e-3 * np.abs(direct).max(axis=0).max())
     np.testing.assert_allclose(series, direct, atol=5e-3 * np.abs(direct).max())
 

@@ -26,14 +26,13 @@ from binocal.solvers.exposures import (
     estimate_deviation_sigma,
     with_deviations,
 )
-from binocal.solvers.joint_system import ReducedSystem
+from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
 from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.real_views import (
     RealViewsEquations,
     RealViewsMinimum,
     RealViewsProblem,
     cameras_information,
-    solve_symmetric,
 )
 
 MAX_ROUNDS = 4  # of variances and minimum; the second usually finds nothing to change
@@ -106,7 +105,7 @@ def _can_free(problem: RealViewsProblem, solve: RealViewsSolve, board_shape: Boa
     n = problem.nominal.object_points.shape[1]
     n_views = int(solve.reduced.is_determined.sum())
     counts = _n_coordinates(problem, solve.minimum)
-    left = counts - 6 * n_views - solve.reduced.system.n_shared - (3 * n - 7)
+    left = counts - 6 * n_views - solve.reduced.n_shared - (3 * n - 7)
     is_enough = n >= MIN_POINTS and n_views >= MIN_VIEWS_TO_FREE and left > MIN_FREEDOM_SHARE * counts
     return is_enough or board_shape == "warp"
 
@@ -143,7 +142,7 @@ def _first_evidence(solve: RealViewsSolve, model: ShapeModel) -> ShapeEvidence:
     reduced = weak.reduced(minimum.estimate, equations)
     x = solve_symmetric(reduced.information, reduced.gradient)
     rss = _rss(equations) - float(x @ reduced.gradient) - float(np.sum(reduced.y**2))
-    fitted = 6 * reduced.is_determined.sum() + reduced.system.n_shared + len(model.basis) - 7
+    fitted = 6 * reduced.is_determined.sum() + reduced.n_shared + len(model.basis) - 7
     noise_px = float(np.sqrt(max(rss, 0.0) / max(_n_coordinates(weak, minimum) - fitted, 1)))
     return estimate_variances(model, reduced, np.zeros(len(model.basis)), max(noise_px, robust.SCALE_FLOOR_PX))
 
@@ -208,7 +207,7 @@ def _minimized(
 def rig_step_sigma(solve: RealViewsSolve) -> float:
     """Length of the next step over the cameras' and the rig's parameters, in standard deviations."""
     reduced = solve.reduced
-    x = solve_symmetric(reduced.information, reduced.gradient)[: reduced.system.n_shared]
+    x = solve_symmetric(reduced.information, reduced.gradient)[: reduced.n_shared]
     return float(np.sqrt(max(x @ cameras_information(reduced) @ x, 0.0)) / solve.noise_px)
 
 

@@ -31,7 +31,7 @@ from binocal.shapes import Bool, Float, Int
 from binocal.solvers.board_shape import ShapeModel, describe_shape
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, CameraObservations
 from binocal.solvers.covariance import real_covariance, shared_names
-from binocal.solvers.real_views import solve_symmetric
+from binocal.solvers.joint_system import solve_symmetric
 from binocal.solvers.whitening import CornerWeights
 
 SURE_SIGMAS = 3.0  # of a bow or stretch, to be named
@@ -107,7 +107,7 @@ def summarize(
     if not np.isfinite(solve.noise_px):
         raise refusal(finding("too-few-measurements"))
     used = inliers(problem, minimum)
-    covariance, agreement = real_covariance(problem, minimum.estimate, solve.reduced, solve.noise_px)
+    covariance, agreement = real_covariance(problem, minimum.estimate, minimum.equations, solve.reduced, solve.noise_px)
     lengths2 = _plain_lengths2(solve)
     sums = np.array([np.where(u, px2, 0.0).sum(axis=1) for u, px2 in zip(used, lengths2, strict=True)])
     counts = np.array([is_used.sum(axis=1) for is_used in used])
@@ -151,7 +151,7 @@ def _board_shape(solve: RealViewsSolve, widening: float) -> BoardShape | None:
     if problem.shape_information is None:
         return None
     nominal, points = problem.nominal.object_points, solve.minimum.estimate.points
-    k = reduced.system.n_shared
+    k = reduced.n_shared
     inverse = solve_symmetric(reduced.information, np.eye(len(reduced.information))[:, k:])[k:]
     covariance = inverse * (solve.noise_px * widening) ** 2
     figures = describe_shape(nominal, points, covariance)

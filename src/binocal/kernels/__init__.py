@@ -18,6 +18,7 @@ except ImportError as error:
         "(from a working tree: make, or pip install -e .)"
     ) from error
 
+from binocal.kernels.joint_views import PoseSteps, StereoSums, reduce_stereo, solve_definite
 from binocal.kernels.linearization import (
     PointEquations,
     ViewEquations,
@@ -34,6 +35,8 @@ from binocal.kernels.transforms import compose_poses, fit_planes, pixels_behind,
 __all__ = [
     "LastIteration",
     "PointEquations",
+    "PoseSteps",
+    "StereoSums",
     "Steps",
     "ViewEquations",
     "accumulate",
@@ -44,8 +47,10 @@ __all__ = [
     "observe",
     "pixels_behind",
     "reduced_equations",
+    "reduce_stereo",
     "reduced_information",
     "robust_costs",
+    "solve_definite",
     "solve_steps",
     "squared_lengths",
     "step_poses",

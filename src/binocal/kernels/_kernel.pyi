@@ -69,6 +69,44 @@ class StepArrays:
 
 def solve_steps(equations: JointEquations, damping: Damping, out: StepArrays, n_threads: int, /) -> None: ...
 
+# two cameras with board points and exposures free
+@final
+class StereoViews:
+    def __init__(
+        self,
+        *,
+        left: Floats,
+        right: Floats,
+        T_rig: Floats,
+        T_pose: Floats,
+        T_deviation: Floats,
+        left_coupling: Floats,
+        right_coupling: Floats,
+        left_points: Floats,
+        right_points: Floats,
+        precision: Floats,
+        pull: Floats,
+        growth: float,
+    ) -> None: ...
+
+@final
+class ReducedViews:
+    def __init__(
+        self,
+        *,
+        inverse_L: Floats,
+        Y: Floats,
+        own: Floats,
+        determined: Floats,
+        information: Floats,
+        gradient: Floats,
+        h: Floats,
+        scores: Floats,
+    ) -> None: ...
+
+def reduce_stereo(views: StereoViews, out: ReducedViews, n_threads: int, /) -> None: ...
+def solve_definite(A: Floats, b: Floats, n_threads: int, /) -> bool: ...
+
 # what a controller sees
 @final
 class NextStep:

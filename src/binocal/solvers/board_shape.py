@@ -16,8 +16,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Float
-from binocal.solvers.joint_system import ReducedSystem
-from binocal.solvers.real_views import solve_symmetric
+from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
 
 WEAK_SHARE = 0.3  # of the pitch: standard deviation of a point that hardly any view determines
 STIFF_SHARE = 1e-5  # of the pitch: standard deviation of what no image tells
@@ -207,9 +206,9 @@ def estimate_variances(
 
     ``reduced`` counts a prior on the points, whose information and gradient are taken out again. Corner noise is ``noise_px``.
     """
-    k = reduced.system.n_shared
+    k = reduced.n_shared
     A, b = reduced.information, reduced.gradient
-    prior, prior_gradient = reduced.system.prior[k:, k:], reduced.system.prior_gradient[k:]
+    prior, prior_gradient = reduced.prior[k:, k:], reduced.prior_gradient[k:]
     free = solve_symmetric(A[:k, :k], np.concatenate([A[:k, k:], b[:k, None]], axis=1))
     M = A[k:, k:] - A[k:, :k] @ free[:, :-1] - prior
     score = b[k:] - A[k:, :k] @ free[:, -1] - prior_gradient + M @ offset

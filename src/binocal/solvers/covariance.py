@@ -20,7 +20,12 @@ from binocal.solvers.board_views import (
 )
 from binocal.solvers.jackknife import ViewAgreement, agreement_of_views
 from binocal.solvers.joint_system import ReducedSystem
-from binocal.solvers.real_views import RealViewsEstimate, RealViewsProblem, cameras_information
+from binocal.solvers.real_views import (
+    RealViewsEquations,
+    RealViewsEstimate,
+    RealViewsProblem,
+    cameras_information,
+)
 from binocal.solvers.whitening import CornerWeights
 
 SINGULAR_CONDITION = 1e15  # of the equilibrated information; a usable rig has 1e3 to 1e9, brown8 up to 1e13
@@ -53,7 +58,11 @@ def shared_covariance(
 
 
 def real_covariance(
-    problem: RealViewsProblem, estimate: RealViewsEstimate, reduced: ReducedSystem, noise_px: float
+    problem: RealViewsProblem,
+    estimate: RealViewsEstimate,
+    equations: RealViewsEquations,
+    reduced: ReducedSystem,
+    noise_px: float,
 ) -> tuple[Float[ndarray, "s s"], ViewAgreement]:
     """Covariance of the rig from the equations at the minimum, widened by what views have in common, and what that was.
 
@@ -63,7 +72,7 @@ def real_covariance(
     scale = np.sqrt(np.diagonal(inverse))
     values, vectors = np.linalg.eigh(inverse / np.outer(scale, scale))
     L = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1e-300))
-    agreement = agreement_of_views(reduced, noise_px, L)
+    agreement = agreement_of_views(reduced, noise_px, L, lambda: problem.system(estimate, equations))
     return _with_additive_translation(problem.nominal, estimate.bundle, L @ agreement.widening @ L.T), agreement
 
 

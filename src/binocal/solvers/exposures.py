@@ -13,8 +13,8 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Float
-from binocal.solvers.joint_system import ReducedSystem
-from binocal.solvers.real_views import RealViewsEquations, RealViewsEstimate, RealViewsProblem, solve_symmetric
+from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
+from binocal.solvers.real_views import RealViewsEquations, RealViewsEstimate, RealViewsProblem
 
 FREE_SHARE = 0.3  # of the board's size: a shift (and radians of turn) so wide that it is free
 APART_RATIO = 0.88  # each camera alone over the pair: below, the exposures differ
@@ -69,7 +69,7 @@ def compare_with_cameras_alone(
     size = board_size(problem)
     free = with_deviations(problem, estimate, (FREE_SHARE, FREE_SHARE * size))
     apart = free.reduced(estimate, equations)
-    V, k = together.system.n_views, together.system.n_shared
+    V, k = together.n_views, together.n_shared
     rss = sum(float(e.gram[:, -1, -1].sum()) for e in equations.cameras)
     pair = rss - _gain(together)
     alone = rss - _gain(apart)
@@ -91,10 +91,10 @@ def effective_points(problem: RealViewsProblem, reduced: ReducedSystem) -> float
     """How many of the points' coordinates the data determine, beyond their prior."""
     if problem.shape_information is None:
         return 0.0
-    k = reduced.system.n_shared
+    k = reduced.n_shared
     A = reduced.information
     inner = A[k:, k:] - A[k:, :k] @ solve_symmetric(A[:k, :k], A[:k, k:])
-    return float(len(inner) - np.trace(solve_symmetric(inner, reduced.system.prior[k:, k:])))
+    return float(len(inner) - np.trace(solve_symmetric(inner, reduced.prior[k:, k:])))
 
 
 def estimate_deviation_sigma(
@@ -132,12 +132,11 @@ def determined_deviations(problem: RealViewsProblem, reduced: ReducedSystem, noi
 
 def _posterior(reduced: ReducedSystem, noise_px: float) -> tuple[Float[ndarray, "V P"], Float[ndarray, "V 6"]]:
     """The views' own step, and the variances of their deviations with all shared unknowns free."""
-    x = solve_symmetric(reduced.information, reduced.gradient)
-    own = np.einsum("vqp,vq->vp", reduced.inverse_L, reduced.y - reduced.Y @ x)
+    own = reduced.own_step(solve_symmetric(reduced.information, reduced.gradient))
     inverse = reduced.inverse_L[:, :, 6:]
     variance = np.einsum("vqp,vqp->vp", inverse, inverse)
-    coupling = inverse.swapaxes(1, 2) @ reduced.Y  # (V, 6, z)
-    V, _, z = coupling.shape
-    flat = coupling.reshape(-1, z)
-    variance += np.einsum("iz,zi->i", flat, solve_symmetric(reduced.information, flat.T)).reshape(V, 6)
+    coupling = np.einsum("zvq,vqp->vpz", reduced.Y, inverse, optimize=True)
+    flat = coupling.reshape(-1, coupling.shape[-1])
+    spread = solve_symmetric(reduced.information, np.eye(reduced.n_all))
+    variance += np.einsum("iz,iz->i", flat @ spread, flat).reshape(variance.shape)
     return own, variance * noise_px**2

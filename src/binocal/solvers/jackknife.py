@@ -9,14 +9,20 @@ its own unknowns are eliminated, and T the information of all.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Float
-from binocal.solvers.joint_system import ReducedSystem
-from binocal.solvers.real_views import solve_symmetric
+from binocal.solvers.joint_system import (
+    JointSystem,
+    ReducedSystem,
+    information_of_view,
+    information_times,
+    solve_symmetric,
+)
 
 DIRECT_VIEWS = 15  # below, a view weighs so much that the series is slow
 MAX_TERMS = 25
@@ -47,8 +53,12 @@ class ViewAgreement:
         return float(np.sqrt(np.trace(self.widening) / max(len(self.widening), 1))) if len(self.widening) else 1.0
 
 
-def agreement_of_views(reduced: ReducedSystem, noise_px: float, L: Float[ndarray, "k k"]) -> ViewAgreement:
+def agreement_of_views(
+    reduced: ReducedSystem, noise_px: float, L: Float[ndarray, "k k"], system: Callable[[], JointSystem]
+) -> ViewAgreement:
     """Compare what the views leave with independent corner noise; ``L`` is a factor of the covariance that such noise has.
+
+    ``system`` gives the equations before the reduction, where they are needed.
 
     A jackknife of V views knows a single variance to sqrt(2 / (V - 1)) only. So the excess of the scores is judged for all
     parameters together first; where it is no more than chance, the covariance of independent noise stands. Where it is more, the
@@ -62,7 +72,7 @@ def agreement_of_views(reduced: ReducedSystem, noise_px: float, L: Float[ndarray
     weight = float(np.clip(((excess - 1) / excess_sigma - NULL_SIGMAS) / (SURE_SIGMAS - NULL_SIGMAS), 0, 1))
     if weight == 0:
         return ViewAgreement(excess, excess_sigma, np.eye(k))
-    shifts = shifts_without(reduced)[reduced.is_determined]
+    shifts = shifts_without(reduced, system())[reduced.is_determined]
     if not np.isfinite(shifts).all():
         return ViewAgreement(excess, excess_sigma, np.eye(k))
     shifts = np.linalg.solve(L, (shifts - shifts.mean(axis=0)).T)
@@ -82,11 +92,9 @@ def excess_of_scores(reduced: ReducedSystem, noise_px: float) -> tuple[float, fl
     With G_v a view's share of the information in the metric of all, its score has covariance G_v (I - G_v); weighed by
     (I - G_v)⁻¹, the squares of all views add up to the sum of the traces of G_v, with variance 2 tr G_v² each.
     """
-    k = reduced.system.n_shared
-    scores = reduced.view_scores()[:, :k]
-    own = reduced.system.shared - np.einsum("vpi,vpj->vij", reduced.Y[..., :k], reduced.Y[..., :k])
-    own[~reduced.is_determined] = 0.0
-    total = own.sum(axis=0) + reduced.system.prior[:k, :k]
+    k = reduced.n_shared
+    scores, own = reduced.view_scores[:, :k], reduced.view_information
+    total = own.sum(axis=0) + reduced.prior[:k, :k]
     values, vectors = np.linalg.eigh(_equilibrated(total))
     scale = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
     root = (vectors / np.sqrt(np.maximum(values, 1e-15 * values[-1]))).T * scale  # root total rootᵀ = 1
@@ -107,29 +115,32 @@ def _equilibrated(A: Float[ndarray, "k k"]) -> Float[ndarray, "k k"]:
     return A * scale[:, None] * scale
 
 
-def shifts_without(reduced: ReducedSystem) -> Float[ndarray, "V k"]:
+def shifts_without(reduced: ReducedSystem, system: JointSystem) -> Float[ndarray, "V k"]:
     """By how much the cameras' and the rig's parameters move when a view is left out, in the solver's units, view by view."""
-    k = reduced.system.n_shared
-    scores = reduced.view_scores()
-    if reduced.system.n_views < DIRECT_VIEWS or reduced.system.n_all == k:
-        return -_directly(reduced, scores)[:, :k]
-    return -_by_series(reduced, scores)[:, :k]
+    k = reduced.n_shared
+    if reduced.n_views < DIRECT_VIEWS:
+        return -_directly(reduced, system)[:, :k]
+    return -_by_series(reduced, system)[:, :k]
 
 
-def _directly(reduced: ReducedSystem, scores: Float[ndarray, "V z"]) -> Float[ndarray, "V z"]:
-    T = reduced.information
-    return np.stack([solve_symmetric(T - reduced.view_information(v), score) for v, score in enumerate(scores)])
+def _directly(reduced: ReducedSystem, system: JointSystem) -> Float[ndarray, "V z"]:
+    return np.stack(
+        [
+            solve_symmetric(reduced.information - information_of_view(system, reduced, v), score)
+            for v, score in enumerate(reduced.view_scores)
+        ]
+    )
 
 
-def _by_series(reduced: ReducedSystem, scores: Float[ndarray, "V z"]) -> Float[ndarray, "V z"]:
+def _by_series(reduced: ReducedSystem, system: JointSystem) -> Float[ndarray, "V z"]:
     """(T - h)⁻¹ g = the sum of (T⁻¹ h)^i T⁻¹ g."""
-    k = reduced.system.n_shared
-    inverse = solve_symmetric(reduced.information, np.eye(reduced.system.n_all))
-    term = scores @ inverse.T
+    k = reduced.n_shared
+    inverse = solve_symmetric(reduced.information, np.eye(reduced.n_all))
+    term = reduced.view_scores @ inverse.T
     total = term.copy()
     sigma = np.sqrt(np.maximum(np.diagonal(inverse)[:k], 1e-300))
     for _ in range(MAX_TERMS):
-        term = reduced.view_information_times(term) @ inverse.T
+        term = information_times(system, reduced, term) @ inverse.T
         total += term
         if np.abs(term[:, :k] / sigma).max() < SERIES_TOLERANCE * np.abs(total[:, :k] / sigma).max():
             break
@@ -138,12 +149,12 @@ def _by_series(reduced: ReducedSystem, scores: Float[ndarray, "V z"]) -> Float[n
 
 def _of_prior(reduced: ReducedSystem, noise_px: float, L: Float[ndarray, "k k"]) -> Float[ndarray, "k k"]:
     """The part of the variance that is the priors' own, which no view tells, in units of the covariance."""
-    k = reduced.system.n_shared
-    if not reduced.system.prior.any():
+    k = reduced.n_shared
+    if not reduced.prior.any():
         return np.zeros((k, k))
-    columns = solve_symmetric(reduced.information, np.eye(reduced.system.n_all)[:, :k])
+    columns = solve_symmetric(reduced.information, np.eye(reduced.n_all)[:, :k])
     columns = np.linalg.solve(L, columns.T).T
-    return columns.T @ reduced.system.prior @ columns * noise_px**2
+    return columns.T @ reduced.prior @ columns * noise_px**2
 
 
 def student_factor(freedom: int) -> float:

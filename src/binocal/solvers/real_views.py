@@ -21,18 +21,20 @@ from numpy import ndarray
 from binocal.geometry import SE3, so3
 from binocal.kernels import (
     PointEquations,
+    PoseSteps,
     Steps,
     ViewEquations,
     accumulate,
     accumulate_with_points,
     median_lengths2,
+    reduce_stereo,
     robust_costs,
     squared_lengths,
 )
 from binocal.shapes import Float
 from binocal.solvers import robust
 from binocal.solvers.board_views import BundleEstimate, BundleProblem, adjoint
-from binocal.solvers.joint_system import JointSystem, ReducedSystem, reduce
+from binocal.solvers.joint_system import JointSystem, ReducedSystem, reduce, solve_symmetric
 from binocal.solvers.minimization import Minimum
 
 
@@ -205,7 +207,12 @@ class RealViewsProblem:
         E_left[:, n_left:, k : k + 6] = np.eye(6)
         E_right = np.zeros((V, n_right + 6, k + P))
         E_right[:, range(n_right), range(n_left, n_left + n_right)] = 1
-        self._turn_right(estimate, E_right[:, n_right:], k)
+        rig, board, deviation = self._right_steps(estimate)
+        if has_rig:
+            E_right[:, n_right:, k - 6 : k] = rig
+        E_right[:, n_right:, k : k + 6] = board
+        if deviation is not None:
+            E_right[:, n_right:, k + 6 :] = deviation
         free = self.nominal.free_directions(estimate.bundle)
         if free is not None:  # shared columns are those of the steps that move nothing that is held
             E_left, E_right = (np.concatenate([E[..., :k] @ free, E[..., k:]], axis=2) for E in (E_left, E_right))
@@ -240,18 +247,21 @@ class RealViewsProblem:
             weight * prior_gradient,
         )
 
-    def _turn_right(self, estimate: RealViewsEstimate, E: Float[ndarray, "V 6 _"], k: int) -> None:
-        """Fill the right camera's pose columns by steps of the rig, of the board, and of the deviation."""
+    def _right_steps(
+        self, estimate: RealViewsEstimate
+    ) -> tuple[Float[ndarray, "V 6 6"], Float[ndarray, "V 6 6"], Float[ndarray, "V 6 6"] | None]:
+        """How steps of the rig, of the board and of the deviation step the right camera's own pose."""
         T, deviation = estimate.bundle.T_right_left, self._deviation(estimate)
-        moved = np.eye(6) if deviation is None else adjoint(deviation.R, deviation.t)
-        if self.nominal.is_rig_free:
-            E[:, :, k - 6 : k] = moved
-        E[:, :, k : k + 6] = moved @ adjoint(T.R, T.t)
-        if self.centres is not None:
-            J = so3.left_jacobian(estimate.deviations[:, :3])
-            E[:, :3, k + 6 : k + 9] = J
-            E[:, 3:, k + 6 : k + 9] = so3.hat(self.centres + estimate.deviations[:, 3:]) @ J
-            E[:, 3:, k + 9 :] = np.eye(3)
+        V, board = len(estimate.deviations), adjoint(T.R, T.t)
+        if self.centres is None or deviation is None:
+            return np.broadcast_to(np.eye(6), (V, 6, 6)), np.broadcast_to(board, (V, 6, 6)), None
+        moved = adjoint(deviation.R, deviation.t)
+        J = so3.left_jacobian(estimate.deviations[:, :3])
+        own = np.zeros((V, 6, 6))
+        own[:, :3, :3] = J
+        own[:, 3:, :3] = so3.hat(self.centres + estimate.deviations[:, 3:]) @ J
+        own[:, 3:, 3:] = np.eye(3)
+        return moved, moved @ board, own
 
     def _prior(
         self, estimate: RealViewsEstimate, free: Float[ndarray, "s f"] | None, m: int
@@ -274,7 +284,39 @@ class RealViewsProblem:
 
     def reduced(self, estimate: RealViewsEstimate, equations: RealViewsEquations, growth: float = 1.0) -> ReducedSystem:
         """The shared equations, views eliminated."""
-        return reduce(self.system(estimate, equations), growth)
+        if self.nominal.free_directions(estimate.bundle) is not None or not self.nominal.is_rig_free:
+            return reduce(self.system(estimate, equations), growth)
+        weight = float(equations.scale_px) ** 2
+        rig, board, deviation = self._right_steps(estimate)
+        precision = pull = None
+        if deviation is not None:
+            precision = weight / self._deviation_scale**2
+            pull = -precision * estimate.deviations
+        left, right = equations.cameras
+        points = None
+        if self.shape_information is not None:
+            points = (equations.points[0], equations.points[1])
+        sums = reduce_stereo((left.gram, right.gram), PoseSteps(rig, board, deviation, precision, pull), points, growth)
+        k = left.gram.shape[-1] + right.gram.shape[-1] - 8
+        prior, prior_gradient = self._prior(estimate, None, len(sums.gradient) - k)
+        prior, prior_gradient = weight * prior, weight * prior_gradient
+        information = sums.information + prior
+        information[np.diag_indices_from(information)] += (growth - 1) * np.diagonal(prior)
+        return ReducedSystem(
+            k,
+            sums.inverse_L,
+            sums.Y,
+            sums.y,
+            sums.own_gradient,
+            sums.own_diagonal,
+            information,
+            sums.gradient + prior_gradient,
+            prior,
+            prior_gradient,
+            sums.is_determined,
+            sums.view_information,
+            sums.view_scores,
+        )
 
     def solve_step(
         self, estimate: RealViewsEstimate, equations: RealViewsEquations, damping: Float[ndarray, "*batch"]
@@ -282,18 +324,14 @@ class RealViewsProblem:
         """Levenberg-Marquardt step with Marquardt's scaling; NaN where the damped equations are singular."""
         growth = 1 + float(damping)
         reduced = self.reduced(estimate, equations, growth)
-        system, A = reduced.system, reduced.information
-        x = solve_symmetric(A, reduced.gradient)
-        own = np.einsum("vqp,vq->vp", reduced.inverse_L, reduced.y - reduced.Y @ x)
-        gradient = np.concatenate([system.shared_gradient.sum(axis=0), system.points_gradient.sum(axis=0)])
+        x = solve_symmetric(reduced.information, reduced.gradient)
+        own = reduced.own_step(x)
         # half of x'(b + D x), D what the damping added: the fall of the undamped quadratic at the damped step
-        fall = own.ravel() @ system.own_gradient.ravel() + x @ (gradient + system.prior_gradient)
+        fall = own.ravel() @ reduced.own_gradient.ravel() + x @ reduced.whole_gradient()
         if growth > 1:
-            diagonal = np.diagonal(A) + np.einsum("vpz,vpz->z", reduced.Y, reduced.Y)
-            extra = x**2 @ diagonal / growth
-            extra += np.sum(own**2 * system.own[:, range(own.shape[1]), range(own.shape[1])])
-            fall += (growth - 1) * extra
-        k = system.n_shared
+            diagonal = np.diagonal(reduced.information) + np.einsum("zvp,zvp->z", reduced.Y, reduced.Y)
+            fall += (growth - 1) * (x**2 @ diagonal / growth + np.sum(own**2 * reduced.own_diagonal))
+        k = reduced.n_shared
         free = self.nominal.free_directions(estimate.bundle)
         shared = x[:k] if free is None else free @ x[:k]
         return RealViewsStep(shared, x[k:], own, np.asarray(0.5 * fall))
@@ -321,22 +359,11 @@ class RealViewsProblem:
 
 def cameras_information(reduced: ReducedSystem) -> Float[ndarray, "s s"]:
     """Information of the cameras' and the rig's free parameters, the board's points free within their prior."""
-    A, k = reduced.information, reduced.system.n_shared
+    A, k = reduced.information, reduced.n_shared
     return A if len(A) == k else A[:k, :k] - A[:k, k:] @ solve_symmetric(A[k:, k:], A[k:, :k])
 
 
 RealViewsMinimum = Minimum[RealViewsEstimate, RealViewsEquations]
-
-
-def solve_symmetric(A: Float[ndarray, "z z"], b: Float[ndarray, "z *k"]) -> Float[ndarray, "z *k"]:
-    """A⁻¹ b by equilibration; NaN where A is singular."""
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(A)), 1e-300))
-    wide = b if b.ndim == 2 else b[:, None]
-    try:
-        x = np.linalg.solve(A * scale[:, None] * scale, wide * scale[:, None]) * scale[:, None]
-    except np.linalg.LinAlgError:
-        x = np.full(wide.shape, np.nan)
-    return x if b.ndim == 2 else x[:, 0]
 
 
 def _in_unknowns(gram: Float[ndarray, "V q q"], E: Float[ndarray, "V r c"]) -> Float[ndarray, "V d d"]:
