@@ -13,9 +13,9 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
-from binocal.shapes import Bool, Float
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
-from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, estimate_variances
+from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, doubt_flatness, estimate_variances
 from binocal.solvers.board_views import BundleMinimum, BundleProblem
 from binocal.solvers.exposures import (
     APART_RATIO,
@@ -42,6 +42,8 @@ MAX_STRETCHES = 8
 RIG_TOLERANCE_SIGMA = 0.3  # over all parameters of the rig: a twentieth of a standard deviation for one
 COARSE = LoopOptions(tolerance_sigma=0.5, max_iterations=4)
 FINE = LoopOptions(tolerance_sigma=0.3, max_iterations=3, initial_damping=RESUMED_DAMPING)
+SCREENED_VIEWS = 24  # for a first look
+DOUBTED_RATIO = 0.95  # of each camera alone over the pair in those: 24 views know it to 0.005
 MIN_POINTS = 9  # fewer are determined by their poses and the lens
 MIN_VIEWS_TO_FREE = 4
 MIN_FREEDOM_SHARE = 0.25  # of the measurements: what must be left once every point is free
@@ -93,7 +95,9 @@ def solve_real_views(
     solve = _measured(problem, minimum)
     if board_shape != "flat" and _can_free(problem, solve, board_shape):
         solve = _with_board_freed(solve, board_shape)
-    pair = _pair_fit(solve)
+    pair = _pair_fit(solve, _some_views(len(solve.minimum.estimate.deviations)))
+    if pair.ratio < DOUBTED_RATIO:
+        pair = _pair_fit(solve, np.arange(len(solve.minimum.estimate.deviations)))
     solve = replace(solve, pair=pair)
     if exposure == "apart" or (exposure == "auto" and pair.ratio < APART_RATIO):
         solve = _with_exposures_freed(solve, board_shape)
@@ -122,6 +126,8 @@ def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> R
         information = model.warp_information(points) if board_shape == "warp" else model.weak_information()
         problem = replace(problem, shape_information=information)
         return _minimized(problem, solve, FINE, solve.shape)
+    if not _looks_bent(solve, model):
+        return solve
     shape = _first_evidence(solve, model)
     if shape.is_flat:
         return replace(solve, shape=shape)
@@ -132,6 +138,23 @@ def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> R
         if attempt and _is_settled(before, shape.variances, model):
             break
     return replace(solve, shape=shape)
+
+
+def _looks_bent(solve: RealViewsSolve, model: ShapeModel) -> bool:
+    """Whether the board's shape is worth a closer look; information from some of the views, scores from all."""
+    minimum, problem = solve.minimum, solve.problem
+    some = _some_views(len(minimum.estimate.deviations))
+    weak, estimate = replace(problem, shape_information=model.weak_information()).of_views(minimum.estimate, some)
+    equations = weak.linearize(estimate, minimum.scale_px, minimum.kernel)
+    score = problem.points_gradient(minimum.estimate, minimum.scale_px, minimum.kernel)
+    n_seen = [sum(int(c.is_seen.sum()) for c in p.cameras) for p in (weak, problem)]
+    share = n_seen[0] / n_seen[1]
+    return doubt_flatness(model, weak.reduced(estimate, equations), score, share, solve.noise_px).is_any
+
+
+def _some_views(n_views: int) -> Int[ndarray, "k"]:
+    """All views, or so many evenly spread ones that they decide whether a closer look is due."""
+    return np.unique(np.linspace(0, n_views - 1, min(n_views, SCREENED_VIEWS)).round().astype(int))
 
 
 def _first_evidence(solve: RealViewsSolve, model: ShapeModel) -> ShapeEvidence:
@@ -157,11 +180,18 @@ def _is_settled(before: Float[ndarray, "5"], after: Float[ndarray, "5"], model: 
     return bool(np.abs(old - new).max() < SETTLED_SHARE * max(old.max(), new.max()))
 
 
-def _pair_fit(solve: RealViewsSolve) -> PairFit:
-    minimum = solve.minimum
-    return compare_with_cameras_alone(
-        solve.problem, minimum.estimate, minimum.equations, _n_coordinates(solve.problem, minimum)
+def _pair_fit(solve: RealViewsSolve, views: Int[ndarray, "k"]) -> PairFit:
+    """Each camera alone against the pair in some of the views, the board's shape held within its prior."""
+    problem, minimum = solve.problem, solve.minimum
+    estimate, equations = minimum.estimate, minimum.equations
+    if len(views) < len(estimate.deviations):
+        problem, estimate = problem.of_views(estimate, views)
+        equations = problem.linearize(estimate, minimum.scale_px, minimum.kernel)
+    n = 2 * sum(
+        int((c.is_seen & robust.carries_weight(r2, minimum.scale_px, minimum.kernel)).sum())
+        for c, r2 in zip(problem.cameras, equations.r2_px2, strict=True)
     )
+    return compare_with_cameras_alone(problem, estimate, equations, n)
 
 
 def _with_exposures_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> RealViewsSolve:

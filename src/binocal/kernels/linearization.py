@@ -90,6 +90,34 @@ def accumulate_with_points(
     return equations, points
 
 
+def point_gradients(
+    model: str,
+    parameters: Float[ndarray, "p"],
+    R_camera_board: Float[ndarray, "views 3 3"],
+    t_camera_board: Float[ndarray, "views 3"],
+    object_points: Float[ndarray, "3 n"],
+    pixels: Float[ndarray, "views 2 n"],
+    is_seen: Bool[ndarray, "views n"],
+    scale_px: Float[ndarray, "*batch"],
+    kernel: Literal["squared", "cauchy", "hampel"],
+    whitening: Float[ndarray, "views 3 n"] | None = None,
+) -> Float[ndarray, "3 n"]:
+    """The gradient of the board's points in all views of one rig together: the last row of the coupling."""
+    views = _views(parameters, R_camera_board, t_camera_board, object_points, pixels, is_seen, whitening)
+    n_views, n = is_seen.shape
+    gradients = np.empty((n_views, 3, n))
+    out = _kernel.Sums(
+        gram=np.empty((n_views, 7, 7)),
+        r2=np.empty((n_views, n)),
+        cost=np.empty(n_views),
+        coupling=gradients,
+        information=NOTHING,
+    )
+    held = np.zeros(parameters.shape[-1], dtype=bool)
+    _kernel.accumulate(model, views, held, per_rig(scale_px, ()), kernel, out, threads_for(is_seen.size))
+    return gradients.sum(axis=0)
+
+
 def _accumulated(
     model: str,
     views: _kernel.Views,

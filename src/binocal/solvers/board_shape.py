@@ -31,6 +31,9 @@ LEAST_SHARE = 1e-6  # of the pitch: a standard deviation below is none
 CORRELATION_LENGTH = 0.5  # of the board's longer side
 MAX_ITERATIONS = 30
 TOLERANCE = 0.01  # of -2 log likelihood: nothing in the result moves by less
+DOUBT_BOW, DOUBT_AFFINE, DOUBT_SMOOTH = 18.0, 16.0, 48.0
+"""Of chi-squared with 3, 2 and 16 degrees of freedom: a flat board passes one in some thousand, and is then looked at closely."""
+DOUBT_POINTS_SIGMA = 4.0
 EVIDENCE_LIMIT = 20.0  # -2 log likelihood ratio: 700 flat boards stay below 13, a bow of 0.5 mm gives 84 and more
 
 Variances = Float[ndarray, "5"]
@@ -48,6 +51,9 @@ class ShapeModel:
     basis: Float[ndarray, "m r"]
     kernels: tuple[Float[ndarray, "r r"], ...]
     hidden: Float[ndarray, "m 7"]
+    modes: Float[ndarray, "m s"]
+    """Smooth offsets of unit length, without what no image tells: bows, then stretch and shear, then higher orders."""
+    n_affine: int
 
     @staticmethod
     def of_points(points: Float[ndarray, "3 n"]) -> ShapeModel:
@@ -123,7 +129,33 @@ def _model(data: bytes, n: int) -> ShapeModel:
         _blocks(zero, zero, smooth),
         affine @ affine.T,
     )
-    return ShapeModel(pitch, basis, tuple(basis.T @ block @ basis for block in blocks), hidden)
+    modes, n_affine = _smooth_modes(points, hidden)
+    return ShapeModel(pitch, basis, tuple(basis.T @ block @ basis for block in blocks), hidden, modes, n_affine)
+
+
+def _smooth_modes(points: Float[ndarray, "3 n"], hidden: Float[ndarray, "m 7"]) -> tuple[Float[ndarray, "m s"], int]:
+    """Polynomials of the place on the board: quadratic to quartic across it, linear and quadratic in it."""
+    x, y, _ = points - points.mean(axis=1, keepdims=True)
+    half = max(float(np.abs(np.stack([x, y])).max()), 1e-300)
+    x, y = x / half, y / half
+    zero = np.zeros_like(x)
+    across = [x * x, x * y, y * y]
+    higher = [x**3, x * x * y, x * y * y, y**3, x**4 + y**4]
+    columns = [np.concatenate([zero, zero, part]) for part in across]
+    columns += list(_affine(points).T)
+    columns += [np.concatenate([zero, zero, part]) for part in higher]
+    columns += [np.concatenate(parts) for part in across for parts in ((part, zero, zero), (zero, part, zero))]
+    kept: list[ndarray] = []
+    n_affine = 0
+    for index, column in enumerate(columns):
+        size = np.linalg.norm(column)
+        rest = column - hidden @ (hidden.T @ column)
+        for other in kept:
+            rest = rest - other * (other @ rest)
+        if np.linalg.norm(rest) > 1e-6 * size:
+            kept.append(rest / np.linalg.norm(rest))
+            n_affine += len(across) <= index < len(across) + 3
+    return np.stack(kept, axis=1), n_affine
 
 
 def pitch_of(points: Float[ndarray, "3 n"]) -> float:
@@ -193,6 +225,68 @@ class ShapeEvidence:
     def is_flat(self) -> bool:
         """Whether nothing speaks against the drawing."""
         return self.likelihood_ratio < EVIDENCE_LIMIT
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeDoubt:
+    """Scores of a board as drawn, each over its degrees of freedom's share: a bow, a stretch or shear, smooth shapes, single points.
+
+    The first three are squared lengths of scores in their standard deviations (chi-squared with ``freedom``), the last is the
+    points' mean square in standard deviations of that mean.
+    """
+
+    bow: float
+    affine: float
+    smooth: float
+    points_sigma: float
+
+    @property
+    def is_any(self) -> bool:
+        """Whether the likelihood ratio is worth its computation."""
+        return (
+            self.bow > DOUBT_BOW
+            or self.affine > DOUBT_AFFINE
+            or self.smooth > DOUBT_SMOOTH
+            or self.points_sigma > DOUBT_POINTS_SIGMA
+        )
+
+
+def doubt_flatness(
+    model: ShapeModel, reduced: ReducedSystem, score: Float[ndarray, "m"], share: float, noise_px: float
+) -> ShapeDoubt:
+    """A cheap look at a board's shape: score tests at the minimum with the board as drawn.
+
+    ``score`` is the reduced gradient of the points over all views; ``reduced`` the equations of some of them, which hold ``share`` of
+    all corners. A weak prior of the points counts in ``reduced``.
+    """
+    k = reduced.n_shared
+    A = reduced.information
+    modes, n_bow, n_affine = model.modes, 3, model.n_affine
+    coupling = A[:k, k:] @ modes
+    information = modes.T @ (A[k:, k:] - reduced.prior[k:, k:]) @ modes
+    information -= coupling.T @ solve_symmetric(A[:k, :k], coupling)
+    information *= noise_px**2 / share
+    found = modes.T @ score
+
+    def length2(part: slice) -> float:
+        return float(found[part] @ solve_symmetric(information[part, part], found[part]))
+
+    own = score.reshape(3, -1)
+    points = _own_information(A[k:, k:] - reduced.prior[k:, k:]) * noise_px**2 / share
+    points = points + 1e-9 * np.trace(points, axis1=1, axis2=2).mean() * np.eye(3)
+    each = np.einsum("in,nij,jn->", own, np.linalg.inv(points), own) / own.size
+    return ShapeDoubt(
+        length2(slice(0, n_bow)),
+        length2(slice(n_bow, n_bow + n_affine)),
+        length2(slice(0, None)),
+        float((each - 1) / np.sqrt(2 / own.size)),
+    )
+
+
+def _own_information(A: Float[ndarray, "m m"]) -> Float[ndarray, "n 3 3"]:
+    n = len(A) // 3
+    index = np.arange(n)
+    return np.stack([np.stack([A[a * n + index, b * n + index] for b in range(3)], axis=-1) for a in range(3)], axis=-2)
 
 
 def estimate_variances(

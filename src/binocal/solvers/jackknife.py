@@ -31,7 +31,6 @@ NULL_SIGMAS, SURE_SIGMAS = 3.0, 5.0
 """Between so many standard deviations of what independent noise leaves, the jackknife gains its say; below it has none."""
 POOLED_VIEWS = 2.0  # that the ratio common to all directions is worth beside a direction's own
 FEW_VIEWS = 10  # below, a jackknife's sigma is that of Student's t
-WHOLE = 1 - 1e-9  # a view that holds this share of a direction's information holds all of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,30 +88,21 @@ def agreement_of_views(
 def excess_of_scores(reduced: ReducedSystem, noise_px: float) -> tuple[float, float]:
     """Variance of the views' scores over that of independent noise, and the standard deviation of that ratio under such noise.
 
-    With G_v a view's share of the information in the metric of all, its score has covariance G_v (I - G_v); weighed by
-    (I - G_v)⁻¹, the squares of all views add up to the sum of the traces of G_v, with variance 2 tr G_v² each.
+    With G_v a view's share of the information in the metric of all, its score has covariance C_v = G_v - G_v² there; the squares of
+    all views add up to the sum of the traces of C_v, with variance 2 tr C_v² each.
     """
     k = reduced.n_shared
-    scores, own = reduced.view_scores[:, :k], reduced.view_information
+    own = reduced.view_information
     total = own.sum(axis=0) + reduced.prior[:k, :k]
-    values, vectors = np.linalg.eigh(_equilibrated(total))
     scale = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
+    values, vectors = np.linalg.eigh(total * scale[:, None] * scale)
     root = (vectors / np.sqrt(np.maximum(values, 1e-15 * values[-1]))).T * scale  # root total rootᵀ = 1
     G = root @ own @ root.T
-    s = scores @ root.T
-    shares, directions = np.linalg.eigh(G)
-    shares = np.clip(shares, 0.0, None)
-    along = np.einsum("vi,vij->vj", s, directions) ** 2
-    counted = shares < WHOLE
-    squares = np.where(counted, along / np.maximum(1 - shares, 1 - WHOLE), 0.0).sum()
-    expected = shares[counted].sum()
-    scatter = np.sqrt(2 * np.sum(shares[counted] ** 2))
-    return float(squares / expected / noise_px**2), float(scatter / expected)
-
-
-def _equilibrated(A: Float[ndarray, "k k"]) -> Float[ndarray, "k k"]:
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(A), 1e-300))
-    return A * scale[:, None] * scale
+    C = G - G @ G
+    squares = float(np.sum((reduced.view_scores[:, :k] @ root.T) ** 2))
+    expected = float(np.einsum("vii->", C))
+    scatter = float(np.sqrt(2 * np.sum(C * C)))
+    return squares / expected / noise_px**2, scatter / expected
 
 
 def shifts_without(reduced: ReducedSystem, system: JointSystem) -> Float[ndarray, "V k"]:

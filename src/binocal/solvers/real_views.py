@@ -27,11 +27,12 @@ from binocal.kernels import (
     accumulate,
     accumulate_with_points,
     median_lengths2,
+    point_gradients,
     reduce_stereo,
     robust_costs,
     squared_lengths,
 )
-from binocal.shapes import Float
+from binocal.shapes import Float, Int
 from binocal.solvers import robust
 from binocal.solvers.board_views import BundleEstimate, BundleProblem, adjoint
 from binocal.solvers.joint_system import JointSystem, ReducedSystem, reduce, solve_symmetric
@@ -155,6 +156,35 @@ class RealViewsProblem:
     def noise_estimate_px(self, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
         """Noise of one corner coordinate from the squared residual lengths (MAD); floored."""
         return np.asarray(robust.scale_of_median(median_lengths2(r2_px2, tuple(c.is_seen for c in self.cameras))))
+
+    def points_gradient(
+        self, estimate: RealViewsEstimate, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
+    ) -> Float[ndarray, "m"]:
+        """The data's gradient of the points' coordinates, x of all points first; at a minimum with the points held, the reduced one."""
+        total = np.zeros_like(estimate.points)
+        for c, p, T in zip(self.cameras, estimate.bundle.parameters, self.camera_poses(estimate), strict=True):
+            given = (p, T.R, T.t, estimate.points, c.pixels, c.is_seen, scale_px, kernel, c.whitening)
+            total += point_gradients(c.model.name, *given)
+        return total.reshape(-1)
+
+    def of_views(
+        self, estimate: RealViewsEstimate, views: Int[ndarray, "k"]
+    ) -> tuple[RealViewsProblem, RealViewsEstimate]:
+        """Problem and estimate of some views only."""
+        cameras = tuple(
+            replace(
+                c,
+                pixels=c.pixels[views],
+                is_seen=c.is_seen[views],
+                whitening=None if c.whitening is None else c.whitening[views],
+            )
+            for c in self.nominal.cameras
+        )
+        centres = None if self.centres is None else self.centres[views]
+        problem = replace(self, nominal=replace(self.nominal, cameras=cameras), centres=centres)
+        T = estimate.bundle.T_left_board
+        bundle = replace(estimate.bundle, T_left_board=SE3.unchecked(T.R[views], T.t[views]))
+        return problem, RealViewsEstimate(bundle, estimate.points, estimate.deviations[views])
 
     def prior_energy(self, estimate: RealViewsEstimate) -> Float[ndarray, "*batch"]:
         """Half the squared distance from all priors, in standard deviations."""

@@ -35,6 +35,7 @@ struct Task {
     Kernel kernel;
     double *gram, *r2, *cost;  // of accumulate
     double *coupling, *information;  // of accumulate where the board's points are wanted, else null
+    bool gradient_only;              // of the points: the coupling is with the residual alone
     double* columns;           // of unweighted_columns, else null
 };
 
@@ -218,8 +219,9 @@ BINOCAL_INLINE void couple_points(const Task& task, const Scratch& s, std::size_
         BINOCAL_INDEPENDENT
         for (std::size_t j = 0; j < stride; ++j) column[j] = a * tau[j] + b * tau[stride + j] + c * tau[2 * stride + j];
     }
-    double* out = task.coupling + static_cast<std::size_t>(m) * 3 * n * view;
-    for (int i = 0; i < m; ++i) {
+    const int first = task.gradient_only ? m - 1 : 0;
+    double* out = task.coupling + static_cast<std::size_t>(m - first) * 3 * n * view;
+    for (int i = first; i < m; ++i) {
         const double *u = s.J + i * stride, *v = u + run;
         for (int axis = 0; axis < 3; ++axis, out += n) {
             const double *by_u = point + axis * stride, *by_v = by_u + run;
@@ -227,6 +229,7 @@ BINOCAL_INLINE void couple_points(const Task& task, const Scratch& s, std::size_
             for (std::size_t j = 0; j < n; ++j) out[j] = u[j] * by_u[j] + v[j] * by_v[j];
         }
     }
+    if (task.gradient_only) return;
     double* own = task.information + 6 * n * view;
     for (int a = 0; a < 3; ++a) {
         for (int b = a; b < 3; ++b, own += n) {
@@ -386,7 +389,8 @@ struct Views {
     Doubles whitening;
 };
 
-// What `accumulate` writes: (views, q, q), (views, n), (views); (views, q, 3, n) and (views, 6, n), or empty.
+// What `accumulate` writes: (views, q, q), (views, n), (views); (views, q, 3, n) and (views, 6, n), or (views, 3, n) for the points'
+// gradient alone and empty, or both empty.
 struct Sums {
     DoublesOut gram, r2, cost, coupling, information;
 };
@@ -420,10 +424,11 @@ void accumulate(const std::string& name, const Views& views, const Flags& is_fre
     require(out.gram.size() == q * q * task.n_views && out.r2.size() == task.n * task.n_views && out.cost.size() == task.n_views,
             "an output has the wrong size");
     task.is_free = is_free.data(), task.scale = scale.data(), task.kernel = kernel_of(kernel);
-    const bool couples = out.coupling.size() > 0;
-    require(out.coupling.size() == (couples ? 3 * q * task.n * task.n_views : 0) &&
-                out.information.size() == (couples ? 6 * task.n * task.n_views : 0),
+    const bool couples = out.coupling.size() > 0, has_all = out.information.size() > 0;
+    require(out.coupling.size() == (has_all ? 3 * q : couples ? 3 : 0) * task.n * task.n_views &&
+                out.information.size() == (has_all ? 6 * task.n * task.n_views : 0),
             "an output of the board's points has the wrong size");
+    task.gradient_only = couples && !has_all;
     if (couples) task.coupling = out.coupling.data(), task.information = out.information.data();
     task.gram = out.gram.data(), task.r2 = out.r2.data(), task.cost = out.cost.data();
     const Work work = n_free > 0 ? model.views : model.held;
