@@ -36,7 +36,7 @@ from binocal.solvers.real_views import (
 )
 
 MAX_ROUNDS = 4  # of variances and minimum; the second usually finds nothing to change
-SETTLED_SHARE = 0.05  # of a standard deviation of the offsets, the largest
+SETTLED_SHARE = 0.1  # of a standard deviation of the offsets, the largest
 SETTLED_LOG = 0.1  # of a standard deviation of the deviations
 MAX_STRETCHES = 8
 RIG_TOLERANCE_SIGMA = 0.3  # over all parameters of the rig: a twentieth of a standard deviation for one
@@ -135,7 +135,7 @@ def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> R
         problem = replace(solve.problem, shape_information=model.information(shape.variances))
         solve = _minimized(problem, solve, FINE if attempt else COARSE, shape)
         before, shape = shape.variances, _evidence(solve, model, shape)
-        if attempt and _is_settled(before, shape.variances, model):
+        if _is_settled(before, shape.variances, model):
             break
     return replace(solve, shape=shape)
 

@@ -30,7 +30,8 @@ START_SHARES = (
 LEAST_SHARE = 1e-6  # of the pitch: a standard deviation below is none
 CORRELATION_LENGTH = 0.5  # of the board's longer side
 MAX_ITERATIONS = 30
-TOLERANCE = 0.01  # of -2 log likelihood: nothing in the result moves by less
+TOLERANCE = 0.1  # of -2 log likelihood: a variance moves by less than a third of its standard deviation
+MAX_COORDINATES = 150  # that a variance is estimated from: more know it no better than the rig needs
 DOUBT_BOW, DOUBT_AFFINE, DOUBT_SMOOTH = 18.0, 16.0, 48.0
 """Of chi-squared with 3, 2 and 16 degrees of freedom: a flat board passes one in some thousand, and is then looked at closely."""
 DOUBT_POINTS_SIGMA = 4.0
@@ -44,13 +45,16 @@ class ShapeModel:
     """The kinds of offsets of one board: covariances for unit variances, in a basis without the directions that no image tells.
 
     ``basis`` has orthonormal columns; ``kernels`` are (r, r) for independent in plane, independent across, smooth in plane, smooth
-    across, affine; ``hidden`` spans the seven directions.
+    across, affine; ``hidden`` spans the seven directions. ``sample`` picks from the basis the coordinates of some points, evenly
+    spread, from which the variances of a large board are estimated; None: all of them. ``sampled`` are the kernels there.
     """
 
     pitch: float
     basis: Float[ndarray, "m r"]
     kernels: tuple[Float[ndarray, "r r"], ...]
     hidden: Float[ndarray, "m 7"]
+    sample: Float[ndarray, "c r"] | None
+    sampled: tuple[Float[ndarray, "c c"], ...]
     modes: Float[ndarray, "m s"]
     """Smooth offsets of unit length, without what no image tells: bows, then stretch and shear, then higher orders."""
     n_affine: int
@@ -67,11 +71,7 @@ class ShapeModel:
 
     def covariance(self, variances: Variances) -> Float[ndarray, "r r"]:
         """Covariance of the offsets in the basis."""
-        out = variances[0] * self.kernels[0]
-        for variance, kernel in zip(variances[1:], self.kernels[1:], strict=True):
-            if variance > 0:
-                out = out + variance * kernel
-        return out
+        return _weighted(variances, self.kernels)
 
     def information(self, variances: Variances) -> Float[ndarray, "m m"]:
         """Inverse covariance of all offsets, the hidden directions held."""
@@ -114,6 +114,14 @@ class ShapeModel:
         return float(total + variances[4] * np.sum((affine.T @ g) ** 2))
 
 
+def _weighted(variances: Variances, kernels: tuple[Float[ndarray, "r r"], ...]) -> Float[ndarray, "r r"]:
+    out = variances[0] * kernels[0]
+    for variance, kernel in zip(variances[1:], kernels[1:], strict=True):
+        if variance > 0:
+            out += variance * kernel
+    return out
+
+
 @lru_cache(maxsize=8)
 def _model(data: bytes, n: int) -> ShapeModel:
     points = np.frombuffer(data).reshape(3, n)
@@ -130,7 +138,13 @@ def _model(data: bytes, n: int) -> ShapeModel:
         affine @ affine.T,
     )
     modes, n_affine = _smooth_modes(points, hidden)
-    return ShapeModel(pitch, basis, tuple(basis.T @ block @ basis for block in blocks), hidden, modes, n_affine)
+    kernels = tuple(basis.T @ block @ basis for block in blocks)
+    sample, sampled = None, kernels
+    if 3 * n > MAX_COORDINATES:
+        some = np.unique(np.linspace(0, n - 1, MAX_COORDINATES // 3).round().astype(int))
+        sample = basis[np.concatenate([some, n + some, 2 * n + some])]
+        sampled = tuple(sample @ kernel @ sample.T for kernel in kernels)
+    return ShapeModel(pitch, basis, kernels, hidden, sample, sampled, modes, n_affine)
 
 
 def _smooth_modes(points: Float[ndarray, "3 n"], hidden: Float[ndarray, "m 7"]) -> tuple[Float[ndarray, "m s"], int]:
@@ -310,14 +324,13 @@ def estimate_variances(
     Mc = E.T @ M @ E + np.eye(E.shape[1]) * (noise_px / (WEAK_SHARE * model.pitch)) ** 2
     V = noise_px**2 * np.linalg.inv(0.5 * (Mc + Mc.T))
     found = V @ (E.T @ score) / noise_px**2
+    if model.sample is not None:
+        V, found = model.sample @ V @ model.sample.T, model.sample @ found
     flat = _minus_two_log_likelihood(V, found)
-    starts = [np.square(START_SHARES) * model.scales]
-    if start is not None:
-        starts.insert(0, np.maximum(start, (LEAST_SHARE * model.pitch) ** 2 * model.scales / model.pitch**2))
-    best = min((_maximize(model, V, found, a) for a in starts), key=lambda pair: pair[0])
     least = LEAST_SHARE**2 * model.scales
-    variances = np.where(best[1] > 4 * least, best[1], 0.0)
-    return ShapeEvidence(variances, flat - best[0])
+    first = np.square(START_SHARES) * model.scales if start is None else np.maximum(start, 4 * least)
+    value, best = _maximize(model, V, found, first)
+    return ShapeEvidence(np.where(best > 4 * least, best, 0.0), flat - value)
 
 
 def _minus_two_log_likelihood(N: Float[ndarray, "r r"], d: Float[ndarray, "r"]) -> float:
@@ -336,15 +349,15 @@ def _maximize(
     trial = a
     gradient = average = np.zeros(0)
     for _ in range(MAX_ITERATIONS):
-        N = V + model.covariance(trial)
+        N = V + _weighted(trial, model.sampled)
         inverse = np.linalg.inv(N)
         q = inverse @ d
         new = float(np.linalg.slogdet(N)[1] + d @ q)
         if new < value:
             is_done = value - new < TOLERANCE
             a, value = trial, new
-            pulled = np.stack([kernel @ q for kernel in model.kernels])
-            traces = np.array([np.vdot(inverse, kernel) for kernel in model.kernels])
+            pulled = np.stack([kernel @ q for kernel in model.sampled])
+            traces = np.array([np.vdot(inverse, kernel) for kernel in model.sampled])
             gradient = (traces - pulled @ q) * a
             average = pulled @ inverse @ pulled.T * np.outer(a, a)
             damping /= 5
