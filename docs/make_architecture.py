@@ -20,6 +20,7 @@ LABELS = {
     "benchmark": "tables against peers",
     "boards": "SPEC, points",
     "calibrators": "evidence to rig, registry",
+    "set_checks": "what is wrong with a whole set of views",
     "cameras": "lens models, rig",
     "cli": "verbs, tables, exit codes",
     "datasets": "pairs of files",

@@ -112,6 +112,43 @@ EXPLANATIONS = {
     "corners-without-weight": """
         A few wild corners per thousand are usual. More come from reflections, a covered board, motion blur, or a lens model
         that does not follow the lens into the corners of the image.""",
+    "pairs-not-together": """
+        Each camera is also fitted alone, with the same board. Where both together fit many times worse than each alone, the two
+        did not see the board in one place: they were not triggered together while the board or the rig moved. Every view's
+        right pose is then freed within a variance that the data give; but at 15 times the noise, or where what is left determines no
+        rig, nothing that comes out of it should be used.""",
+    "exposures-apart": """
+        As for pairs that were not taken together, but less: the relative pose of each view scatters clearly more than the
+        images themselves do. The rig is estimated with a deviation of the right pose in each view, whose size comes from the
+        data, and the standard deviations are as large as that makes them. Pairs taken at rest give a better rig from fewer
+        views. A board that always moves alike, as on a conveyor, cannot be found out by this.""",
+    "corner-lists-shifted": """
+        A detector that takes the board's rim for a row, or loses the first one, numbers all corners off by one. In both
+        cameras alike that does no harm. In one of them, and in all views, it looks like a rig that stands one square
+        elsewhere. The suspicion is checked by shifting the lists back and solving again.""",
+    "rig-changed": """
+        A camera that was knocked, refocused, or whose image is shifted (a stabiliser, a loose sensor) leaves two rigs in one
+        recording. The change is looked for at every view; it is named where it alone removes four fifths of what the pair
+        leaves beyond the cameras alone. Which of the two cameras moved is named rightly in seven cases of ten; the size is right
+        to a few percent.""",
+    "rig-drifts": """
+        As for a rig that changed, but evenly over the recording: heat, a sagging mount, a slipping focus.""",
+    "rig-has-two-states": """
+        As for a rig that changed, but to and fro: the views fall into two groups, each of which fits by itself.""",
+    "changed-from-view": """
+        When the rig changes a lot, the views after it (or before it, whichever are fewer) contradict the others and are left
+        out, as single bad views are. That all of them lie at one end of the recording says what happened. If the rig changed
+        towards the end, the result is of the rig as it was before.""",
+    "rests-on-few-views": """
+        Rotation and translation between the cameras come from views that both of them see. Where such views are few, or two
+        or three outweigh all others, or most of the given views were left out, nothing is left to notice an error in them.""",
+    "views-copied": """
+        Exact copies of an image add no information, but would make all standard deviations smaller. They are counted once.""",
+    "few-different-poses": """
+        Views that show the board in the same place to within the noise say little more than one of them.""",
+    "aprilgrid-gap-wrong": """
+        Kalibr's files and many printed boards differ in what they call the spacing of the tags. The board's points are estimated
+        along with the rig; where their pattern is that of another gap, the sentence gives the gap that fits.""",
     "board-not-as-drawn": """
         No print is flat and to size. A bow or a stretch that the board was not drawn with moves corners alike in all views, so
         it can be separated from the cameras, and binocal estimates every point of the board along with the rig. The note comes

@@ -22,6 +22,7 @@ CHECKED = [
     "simulation",
     "metrics",
     "initialization",
+    "set_checks",
     "rectification",
     "acceptance",
     "findings",

@@ -141,6 +141,19 @@ _KINDS = (
         "deviations (RMS); {remedy}.",
         "calibrate without it, or let it inform only of what has not changed (parts)", InconsistentViewsError,
     ),
+    FindingKind(
+        "pairs-not-together", _R, "Left and right images were not taken at the same moment, and no rig can be trusted",
+        "left and right were not taken together: each camera alone fits to {alone_px:.2f} px, both together only to {pair_px:.2f} "
+        "px, so the board moved by about {moved_px:.2g} px between the exposures{also}; {remedy}.",
+        "trigger the cameras together, or put the board on a stand and take each pair while nothing moves",
+        InconsistentViewsError,
+    ),
+    FindingKind(
+        "corner-lists-shifted", _R, "One camera's corner lists are off by a row or column in all views",
+        "the left corner lists are shifted by {shift} against the right ones in all views: shifted back, the corners fit to "
+        "{repaired_px:.3f} px instead of {noise_px:.3f} px; {remedy}.",
+        "shift the left lists by {shift}, or detect both cameras' corners anew", InconsistentViewsError,
+    ),
     # --- views that no rig can be solved from
     FindingKind(
         "too-few-views", _R, "Too few usable views",
@@ -245,6 +258,56 @@ _KINDS = (
         "the prior and the views differ by {difference_sigma:.1f} standard deviations (RMS over {n_parameters} parameters), more "
         "than chance explains: the rig has changed, or the stated standard deviations are too small; {remedy}.",
         "compare with a calibration without the prior",
+    ),
+    FindingKind(
+        "exposures-apart", _W, "The cameras did not see the board at the same moment",
+        "left and right were not taken together: each camera alone fits to {alone_px:.3f} px, both together only to {pair_px:.3f} "
+        "px; every view's right pose was freed, and the standard deviations count it; {remedy}.",
+        "trigger the cameras together, or put the board on a stand for each pair",
+    ),
+    FindingKind(
+        "rig-changed", _W, "The rig changed in the middle of the recording",
+        "from view {view} on the {camera} camera (or the other the opposite way) is {what}: the rig changed; {remedy}.",
+        "calibrate the views before {view} and those from it on apart",
+    ),
+    FindingKind(
+        "rig-drifts", _W, "The rig changed slowly over the recording",
+        "over the recording the {camera} camera (or the other the opposite way) is slowly {what}: the rig drifts; {remedy}.",
+        "let it warm up, fix the mounts, and use views of a shorter time",
+    ),
+    FindingKind(
+        "rig-has-two-states", _W, "Some views are of another state of the rig",
+        "in {n_views} views ({views}) the {camera} camera (or the other the opposite way) is {what}, in the others it is not; "
+        "{remedy}.",
+        "calibrate both groups apart; look for a loose lens or mount, a stabiliser, or mixed recordings",
+    ),
+    FindingKind(
+        "changed-from-view", _W, "Views at one end of the recording contradict the others",
+        "views {first} to {last}, all at {end} of the recording, contradict the others and were left out: the rig or its setting "
+        "changed there; {remedy}.",
+        "calibrate them apart, and keep the result that is of the rig as it is now",
+    ),
+    FindingKind(
+        "rests-on-few-views", _W, "The rig rests on few of the views",
+        "the rig rests on {weight:.1f} views' worth of pairs ({n_used} of {n_given} views used, {n_shared} seen by both cameras): "
+        "a single wrong one would go unnoticed; {remedy}.",
+        "add views that both cameras see, the board in different places and tilts, and see why others were left out",
+    ),
+    FindingKind(
+        "views-copied", _W, "Some views are copies of others",
+        "{n_copies} of {n_given} views are copies of others (first: {view} of {original}) and count once; {remedy}.",
+        "give every pair once",
+    ),
+    FindingKind(
+        "few-different-poses", _W, "Many views show the board in the same place",
+        "the {n_given} views show the board in only {n_poses} different poses: repeated poses average noise, and show nothing "
+        "new; {remedy}.",
+        "add views with the board elsewhere and tilted otherwise",
+    ),
+    FindingKind(
+        "aprilgrid-gap-wrong", _W, "The gap between the tags of an AprilGrid is not as given",
+        "the board's tags stand {found:.3f} of their size apart, not {given:.3f} as given; {remedy}.",
+        "give the gap that was found as the last part of the board's SPEC",
     ),
     FindingKind(
         "corners-without-weight", _W, "More corners than usual were given no weight",

@@ -347,8 +347,7 @@ def test_each_camera_alone_and_the_pair_agree_on_a_sound_set():
     real = RealViewsProblem(problem)
     estimate = real.start(minimum.estimate)
     equations = real.linearize(estimate, minimum.scale_px, "hampel")
-    n = 2 * sum(int(c.is_seen.sum()) for c in problem.cameras)
-    pair = compare_with_cameras_alone(real, estimate, equations, n)
+    pair = compare_with_cameras_alone(real, estimate, equations, NOISE_PX)
     assert pair.pair_px == pytest.approx(NOISE_PX, rel=0.05) and pair.ratio == pytest.approx(1, abs=0.03)
     excess, sigma = excess_of_scores(real.reduced(estimate, equations), pair.pair_px)
     assert abs(excess - 1) < 3 * sigma

@@ -19,6 +19,12 @@ def focal_sigma_share(calibration: StereoCalibration, side: str) -> float:
     return max(sigma.get(f"{side}.fx", 0.0) / fx, sigma.get(f"{side}.fy", 0.0) / fy)
 
 
+def common_factor(calibration: StereoCalibration) -> float:
+    """By what the standard deviations exceed those of independent corner noise: what views have in common, 1 where not known."""
+    found = calibration.provenance.get("views_in_common", {})
+    return max(float(found.get("sigma_factor", 1.0)), 1.0)
+
+
 def translation_sigma(calibration: StereoCalibration) -> float:
     """Standard deviation of the translation, all three axes together; 0 where it is held."""
     sigma = calibration.covariance.sigma

@@ -10,6 +10,7 @@ import numpy as np
 
 from binocal.acceptance.figures import (
     board_normals,
+    common_factor,
     corner_spacing_px,
     focal_sigma_share,
     normal_spread_deg,
@@ -124,8 +125,9 @@ def _outliers(calibration: StereoCalibration) -> Figures:
 
 
 def _focal_length(calibration: StereoCalibration) -> Figures:
+    """What the views' geometry leaves open, at the noise of single corners; that errors are alike within views is warned of."""
     for side in ("left", "right"):
-        share = focal_sigma_share(calibration, side)
+        share = focal_sigma_share(calibration, side) / common_factor(calibration)
         if share <= PARALLEL_FOCAL_SHARE.value:
             continue
         spread_deg = normal_spread_deg(board_normals(calibration))
@@ -147,13 +149,15 @@ def _principal_point(calibration: StereoCalibration) -> Figures:
 
 def _rotation(calibration: StereoCalibration) -> Figures:
     sigma = calibration.covariance.sigma
-    sigma_deg = float(np.degrees(max(sigma.get(f"rotation.{axis}", 0.0) for axis in "xyz")))
+    sigma_deg = float(np.degrees(max(sigma.get(f"rotation.{axis}", 0.0) for axis in "xyz"))) / common_factor(
+        calibration
+    )
     if sigma_deg > ROTATION_DEG.value:
         yield {"sigma_deg": sigma_deg}
 
 
 def _translation(calibration: StereoCalibration) -> Figures:
-    share = translation_sigma(calibration) / calibration.rig.baseline_m
+    share = translation_sigma(calibration) / calibration.rig.baseline_m / common_factor(calibration)
     if share > BASELINE_SHARE.value:
         yield {"sigma_percent": 100 * share}
 

@@ -13,14 +13,18 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
+from binocal.set_checks.pair_motion import PairMotion, measure_freed_motion, measure_pair_motion
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
 from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, doubt_flatness, estimate_variances
-from binocal.solvers.board_views import BundleMinimum, BundleProblem
+from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.exposures import (
     APART_RATIO,
+    APART_T,
+    LESS_APART_T,
     PairFit,
     compare_with_cameras_alone,
+    count_coordinates,
     determined_deviations,
     effective_points,
     estimate_deviation_sigma,
@@ -43,7 +47,9 @@ RIG_TOLERANCE_SIGMA = 0.3  # over all parameters of the rig: a twentieth of a st
 COARSE = LoopOptions(tolerance_sigma=0.5, max_iterations=4)
 FINE = LoopOptions(tolerance_sigma=0.3, max_iterations=3, initial_damping=RESUMED_DAMPING)
 SCREENED_VIEWS = 24  # for a first look
-DOUBTED_RATIO = 0.95  # of each camera alone over the pair in those: 24 views know it to 0.005
+LINEAR_SHARE = 0.1  # of the pair's noise that the cameras leave alone: below, the linear look is not to be believed
+OPENED = 3.0  # times the kernel's scale, for the comparison of the cameras
+DOUBTED_SIGMAS = 1.5  # of the relative poses' excess: above, it is worth a closer look
 MIN_POINTS = 9  # fewer are determined by their poses and the lens
 MIN_VIEWS_TO_FREE = 4
 MIN_FREEDOM_SHARE = 0.25  # of the measurements: what must be left once every point is free
@@ -60,7 +66,10 @@ class RealViewsSolve:
     noise_px: float
     nominal_noise_px: float
     """With the board as drawn and the exposures together."""
+    nominal_bundle: BundleEstimate
+    """Where the nominal solve ended."""
     pair: PairFit
+    motion: PairMotion | None = None
     shape: ShapeEvidence | None = None
     n_iterations: int = 0
 
@@ -95,13 +104,45 @@ def solve_real_views(
     solve = _measured(problem, minimum)
     if board_shape != "flat" and _can_free(problem, solve, board_shape):
         solve = _with_board_freed(solve, board_shape)
-    pair = _pair_fit(solve, _some_views(len(solve.minimum.estimate.deviations)))
-    if pair.ratio < DOUBTED_RATIO:
-        pair = _pair_fit(solve, np.arange(len(solve.minimum.estimate.deviations)))
-    solve = replace(solve, pair=pair)
-    if exposure == "apart" or (exposure == "auto" and pair.ratio < APART_RATIO):
+    solve = _with_pair_compared(solve)
+    if exposure == "apart" or (exposure == "auto" and _are_apart(solve)):
         solve = _with_exposures_freed(solve, board_shape)
+        solve = _compared_after(solve)
     return solve
+
+
+def _with_pair_compared(solve: RealViewsSolve) -> RealViewsSolve:
+    """Each camera alone against the pair, and what moved where the pair leaves more than chance; the board within its prior.
+
+    The kernel is opened for it: at its own scale it lets go of the corners of displaced views, and hides them.
+    """
+    problem, estimate = solve.problem, solve.minimum.estimate
+    equations = problem.linearize(estimate, OPENED * solve.minimum.scale_px, "hampel")
+    pair = compare_with_cameras_alone(problem, estimate, equations, solve.noise_px)
+    motion = None
+    if pair.excess > 1 + DOUBTED_SIGMAS * pair.excess_sigma:
+        motion = measure_pair_motion(problem, estimate, equations, solve.noise_px)
+    return replace(solve, pair=pair, motion=motion)
+
+
+def _compared_after(solve: RealViewsSolve) -> RealViewsSolve:
+    """The comparison anew where the exposures are free: far motion is not linear."""
+    minimum, pair = solve.minimum, solve.pair
+    motion = measure_freed_motion(solve.problem, minimum.estimate, minimum.equations, solve.noise_px) or solve.motion
+    excess = pair.excess if motion is None else motion.excess
+    freedom = count_coordinates(solve.problem, minimum.equations) * pair.excess_sigma**2 / 2  # for each relative pose
+    pair_px = solve.noise_px * float(np.sqrt(1 + max(excess - 1, 0.0) / freedom))
+    return replace(solve, pair=replace(pair, alone_px=solve.noise_px, pair_px=pair_px, excess=excess), motion=motion)
+
+
+def _are_apart(solve: RealViewsSolve) -> bool:
+    """Whether the relative poses scatter by clearly more than images leave on their own, or by too much for a linear look."""
+    if not solve.pair.alone_px > LINEAR_SHARE * solve.pair.pair_px:
+        return True
+    if solve.motion is None:
+        return False
+    limit = LESS_APART_T if solve.pair.ratio < APART_RATIO else APART_T
+    return limit < solve.motion.T
 
 
 def _can_free(problem: RealViewsProblem, solve: RealViewsSolve, board_shape: BoardShapeChoice) -> bool:
@@ -180,20 +221,6 @@ def _is_settled(before: Float[ndarray, "5"], after: Float[ndarray, "5"], model: 
     return bool(np.abs(old - new).max() < SETTLED_SHARE * max(old.max(), new.max()))
 
 
-def _pair_fit(solve: RealViewsSolve, views: Int[ndarray, "k"]) -> PairFit:
-    """Each camera alone against the pair in some of the views, the board's shape held within its prior."""
-    problem, minimum = solve.problem, solve.minimum
-    estimate, equations = minimum.estimate, minimum.equations
-    if len(views) < len(estimate.deviations):
-        problem, estimate = problem.of_views(estimate, views)
-        equations = problem.linearize(estimate, minimum.scale_px, minimum.kernel)
-    n = 2 * sum(
-        int((c.is_seen & robust.carries_weight(r2, minimum.scale_px, minimum.kernel)).sum())
-        for c, r2 in zip(problem.cameras, equations.r2_px2, strict=True)
-    )
-    return compare_with_cameras_alone(problem, estimate, equations, n)
-
-
 def _with_exposures_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> RealViewsSolve:
     """The solve with deviations of the right poses; a board that only they had bent is as drawn again."""
     model = ShapeModel.of_points(solve.problem.nominal.object_points)
@@ -224,9 +251,16 @@ def _minimized(
     for _ in range(MAX_STRETCHES):
         minimum = minimize(problem, solve.minimum.estimate, options)
         n_iterations = solve.n_iterations + int(minimum.n_iterations)
-        nominal_px = solve.nominal_noise_px
-        solve = replace(_measured(problem, minimum), pair=solve.pair, shape=shape, n_iterations=n_iterations)
-        solve = replace(solve, nominal_noise_px=nominal_px)
+        measured = _measured(problem, minimum)
+        solve = replace(
+            solve,
+            problem=problem,
+            minimum=minimum,
+            reduced=measured.reduced,
+            noise_px=measured.noise_px,
+            shape=shape,
+            n_iterations=n_iterations,
+        )
         if bool(minimum.is_converged) or not np.isfinite(solve.noise_px):
             break
         if rig_step_sigma(solve) < RIG_TOLERANCE_SIGMA:
@@ -252,7 +286,7 @@ def _measured(problem: RealViewsProblem, minimum: RealViewsMinimum) -> RealViews
     if problem.has_priors and np.isfinite(noise_px):
         weighed = replace(minimum.equations, scale_px=np.asarray(max(noise_px, robust.SCALE_FLOOR_PX)))
         reduced = problem.reduced(minimum.estimate, weighed)
-    return RealViewsSolve(problem, minimum, reduced, noise_px, noise_px, PairFit(1.0, 1.0))
+    return RealViewsSolve(problem, minimum, reduced, noise_px, noise_px, minimum.estimate.bundle, PairFit(1.0, 1.0))
 
 
 def _rss(equations: RealViewsEquations) -> float:

@@ -17,10 +17,11 @@ from binocal import acceptance
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.calibrators.board_and_exposures import RealViewsSolve, solve_real_views
 from binocal.calibrators.prior_check import check_disagreement, disagreement
+from binocal.calibrators.set_checking import checked_as_a_whole, without_copies
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
-from binocal.findings import Finding
+from binocal.findings import Finding, refusal
 from binocal.geometry import SE3
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
 from binocal.initialization.verified_start import estimate_verified_start
@@ -67,9 +68,12 @@ def calibrate_jointly(
         raise TypeError(f"the joint solve works from Detections of a board; got {type(detections).__name__}")
     request.check_options()
     minimizer = _stoppable(minimizer, request)
+    given = detections
+    detections, copies, doubts_of_copies = without_copies(given)
     clean = _calibrate_clean(detections, request, minimizer)
     if clean is not None:
-        return clean
+        calibration, solve = clean
+        return checked_as_a_whole(calibration, solve, given, copies, doubts_of_copies)
     request.check_stop()
     diagnosis = diagnose_views(detections, request.model, has_skew=request.skew)
     rejected = diagnosis.rejected
@@ -103,7 +107,14 @@ def calibrate_jointly(
         n_iterations=n_iterations,
         misfit_px=misfit_px,
     )
-    return acceptance.apply_rules(calibration, is_converged=bool(solve.minimum.is_converged))
+    try:
+        accepted = acceptance.apply_rules(calibration, is_converged=bool(solve.minimum.is_converged))
+    except CalibrationError as error:
+        motion = acceptance.gross_motion(calibration.exposure, 0.0, "what is left does not determine the rig")
+        if motion is not None:
+            raise refusal(motion, error.rejected) from error
+        raise
+    return checked_as_a_whole(accepted, solve, given, copies, doubts_of_copies)
 
 
 def _as_they_were(problem: BundleProblem, minimum: BundleMinimum, request: CalibrationRequest) -> RealViewsSolve:
@@ -131,8 +142,8 @@ def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
 
 def _calibrate_clean(
     detections: Detections, request: CalibrationRequest, minimizer: Minimizer
-) -> StereoCalibration | None:
-    """The calibration of views in which nothing is wrong, or None where that is not proven (:mod:`binocal.acceptance.proof`).
+) -> tuple[StereoCalibration, RealViewsSolve] | None:
+    """The calibration of views in which nothing is wrong, and its solve, or None where that is not proven (:mod:`binocal.acceptance.proof`).
 
     With any doubt the views are diagnosed, which names the cause.
     """
@@ -153,10 +164,11 @@ def _calibrate_clean(
         return None
     if _check_prior(detections, request, estimate, (problem, minimum)):
         return None
+    solve = _as_they_were(problem, polish_exact(problem, minimum), request)
     try:
         calibration = summarize(
             detections,
-            _as_they_were(problem, polish_exact(problem, minimum), request),
+            solve,
             request,
             rejected=(),
             notes={},
@@ -168,7 +180,8 @@ def _calibrate_clean(
         return None
     # The rules about the fit ask for less than the proof does.
     doubts = acceptance.findings_of_rules(calibration, (*acceptance.OBSERVABILITY, *acceptance.OUTLIERS))
-    return calibration if not doubts and acceptance.is_beyond_doubt(calibration) else None
+    is_sound = not doubts and solve.minimum.is_converged and acceptance.is_beyond_doubt(calibration)
+    return (calibration, solve) if is_sound else None
 
 
 def _check_prior(

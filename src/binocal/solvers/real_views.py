@@ -237,7 +237,7 @@ class RealViewsProblem:
         E_left[:, n_left:, k : k + 6] = np.eye(6)
         E_right = np.zeros((V, n_right + 6, k + P))
         E_right[:, range(n_right), range(n_left, n_left + n_right)] = 1
-        rig, board, deviation = self._right_steps(estimate)
+        rig, board, deviation = self.right_steps(estimate)
         if has_rig:
             E_right[:, n_right:, k - 6 : k] = rig
         E_right[:, n_right:, k : k + 6] = board
@@ -277,7 +277,7 @@ class RealViewsProblem:
             weight * prior_gradient,
         )
 
-    def _right_steps(
+    def right_steps(
         self, estimate: RealViewsEstimate
     ) -> tuple[Float[ndarray, "V 6 6"], Float[ndarray, "V 6 6"], Float[ndarray, "V 6 6"] | None]:
         """How steps of the rig, of the board and of the deviation step the right camera's own pose."""
@@ -317,7 +317,7 @@ class RealViewsProblem:
         if self.nominal.free_directions(estimate.bundle) is not None or not self.nominal.is_rig_free:
             return reduce(self.system(estimate, equations), growth)
         weight = float(equations.scale_px) ** 2
-        rig, board, deviation = self._right_steps(estimate)
+        rig, board, deviation = self.right_steps(estimate)
         precision = pull = None
         if deviation is not None:
             precision = weight / self._deviation_scale**2

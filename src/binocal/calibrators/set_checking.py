@@ -1,0 +1,76 @@
+"""The checks of a whole set, put to a solve: copies before it, all others after it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from binocal import acceptance
+from binocal.acceptance.whole_set import APART_T
+from binocal.calibrators.board_and_exposures import RealViewsSolve
+from binocal.evidence import Detections
+from binocal.findings import Finding, Severity, finding, refusal
+from binocal.result import RejectedView, StereoCalibration
+from binocal.set_checks.copies import different_poses, first_of_copies
+from binocal.set_checks.shifted_lists import find_shift
+
+SAME_POSE_SIGMAS = 3 * np.sqrt(2)  # of corner noise between two views: below, they are one pose measured twice
+FEW_POSES_SHARE = 0.6  # of the views
+
+
+def without_copies(detections: Detections) -> tuple[Detections, tuple[RejectedView, ...], tuple[Finding, ...]]:
+    """The views, each once; the copies, and what is said of them."""
+    first = first_of_copies(detections)
+    is_copy = (first != np.arange(len(first))) & (
+        detections.left_is_seen.any(axis=1) | detections.right_is_seen.any(axis=1)
+    )
+    if not is_copy.any():
+        return detections, (), ()
+    names = detections.names
+    copies = [(names[view], names[first[view]]) for view in np.flatnonzero(is_copy)]
+    rejected = tuple(RejectedView(name, f"a copy of view {original}", "view-copied") for name, original in copies)
+    view, original = copies[0]
+    found = finding("views-copied", n_copies=len(copies), n_given=len(names), view=view, original=original)
+    return detections.select(~is_copy), rejected, (found,)
+
+
+def checked_as_a_whole(
+    calibration: StereoCalibration,
+    solve: RealViewsSolve,
+    given: Detections,
+    copies: tuple[RejectedView, ...],
+    doubts: tuple[Finding, ...],
+) -> StereoCalibration:
+    """The calibration with what there is to say of its set: warnings before its other findings, copies among the rejected.
+
+    Raises:
+        InconsistentViewsError: The pairs were not taken together, by far, or one camera's corner lists are shifted.
+    """
+    views, exposure = calibration.corners.detections, calibration.exposure
+    rejected = (*copies, *calibration.rejected)
+    if solve.motion is not None and solve.motion.T > APART_T and solve.motion.change is None:
+        shift = find_shift(solve.problem.nominal, solve.nominal_bundle, solve.nominal_noise_px)
+        if shift is not None:
+            figures = {"shift": shift.words, "repaired_px": shift.noise_px, "noise_px": solve.nominal_noise_px}
+            raise refusal(finding("corner-lists-shifted", **figures), acceptance.describe_views(calibration))
+    motion = acceptance.gross_motion(exposure, acceptance.corner_spacing_px(views))
+    if motion is not None:
+        raise refusal(motion, acceptance.describe_views(calibration))
+    names = [view.name for view in calibration.views]
+    found = list(doubts)
+    if exposure is not None:
+        found += acceptance.exposure_findings(exposure, solve.motion, names)
+    found += acceptance.left_out_findings(given.names, names, rejected)
+    n_rig = sum(name.startswith(("rotation", "translation")) for name in calibration.covariance.names)
+    n_given = given.n_views - len(copies)
+    found += acceptance.weight_findings(solve.reduced.view_information, n_rig, views, n_given)
+    found += acceptance.gap_findings(views, calibration.board_shape)
+    n_poses = int(different_poses(views, SAME_POSE_SIGMAS * solve.noise_px).sum())
+    if n_poses <= FEW_POSES_SHARE * views.n_views:
+        found.append(finding("few-different-poses", n_given=views.n_views, n_poses=n_poses))
+    if not found and not copies:
+        return calibration
+    before = [f for f in calibration.findings if f.severity is not Severity.NOTE]
+    notes = [f for f in calibration.findings if f.severity is Severity.NOTE]
+    return replace(calibration, findings=(*found, *before, *notes), rejected=rejected)
