@@ -97,6 +97,11 @@ EXPLANATIONS = {
     "image-size-doubtful": """
         Lens mounts scatter both ways. Two principal points that lie short of the middle by the same share, with no corner
         beyond the size that would put them into the middle, mean that the stated size is too large.""",
+    "lens-model-folds": """
+        Beyond some radius the fitted distortion bends image points back inwards, so that a pixel out there belongs to no
+        direction: it cannot be rectified, and no depth comes from it. The corners say nothing about that part of the image. It
+        happens where the board never reached the image's corners, and where a model has more coefficients than the views
+        determine. `--model auto` takes another model where one is as good.""",
     "image-size-suspect": """
         As for both cameras, with one of them: its principal point lies far from the middle, and its corners end where an
         image of a smaller size would.""",
@@ -155,8 +160,8 @@ EXPLANATIONS = {
         where bow or stretch exceed three of their standard deviations and move corners by more than half of the noise. Only
         the scale of the print remains unknown: over all of its points it is taken for that of the drawing.""",
     "model-choice-weak": """
-        Camera models are compared by their error on views that were held out. With fewer than six views nothing can be held
-        out, and the Bayesian information criterion decides.""",
+        Camera models are compared by the rows and lengths of views that were held out. With fewer than six views nothing can
+        be held out, and the Bayesian information criterion decides.""",
     "view-without-corners": "Neither camera saw the board in this view.",
     "view-off-grid": """
         The corners of this view are no perspective image of the board: a wrong detection, or an order of its own.""",

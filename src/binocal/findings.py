@@ -235,6 +235,12 @@ _KINDS = (
         "check the image size, about {implied_width_px:.0f}x{implied_height_px:.0f} would fit",
     ),
     FindingKind(
+        "lens-model-folds", _W, "The lens model has no ray for part of the image",
+        "the {camera} lens model has no ray for {share_percent:.1f} % of the image: it folds back from {radius_px:.0f} px off the "
+        "principal point on, and the corners reach only {reach_px:.0f} px; {remedy}.",
+        "move the board into the image's corners, or choose another camera model; nothing can be measured in those pixels",
+    ),
+    FindingKind(
         "image-size-suspect", _W, "One principal point lies far off the middle, and no corner beyond",
         "the {camera} principal point ({x_px:.0f}, {y_px:.0f}) is far from the middle of the {width_px}x{height_px} image and the "
         "corners end at ({far_x_px:.0f}, {far_y_px:.0f}): {remedy}.",

@@ -89,8 +89,16 @@ def cases(calibration):
             with_sigma(calibration, right_fy=0.0101 * calibration.rig.right.parameters[1]),
         ),
         "corners-without-weight": (with_outliers(calibration, 0.009), with_outliers(calibration, 0.011)),
+        "lens-model-folds": (with_k1(calibration, -0.56), with_k1(calibration, -0.64)),
         "image-size-doubtful": (stated_wider(calibration, 1.07), stated_wider(calibration, 1.12)),
     }
+
+
+def with_k1(calibration, k1):
+    """The calibration with a right lens of that distortion alone; it folds at r = (-3 k1)^-0.5, 2/3 of that in the image."""
+    camera = calibration.rig.right
+    parameters = np.r_[camera.parameters[:5], k1, 0, 0, 0]
+    return replace(calibration, rig=replace(calibration.rig, right=replace(camera, parameters=parameters)))
 
 
 def stated_wider(calibration, factor):

@@ -17,6 +17,7 @@ from binocal.acceptance.figures import (
     translation_sigma,
 )
 from binocal.acceptance.views import describe_views
+from binocal.cameras.ray_coverage import pixels_without_ray
 from binocal.findings import KINDS, Finding, Severity, finding, refusal
 from binocal.result import StereoCalibration
 from binocal.solvers import robust
@@ -91,6 +92,12 @@ SHORT_MEAN_SHARE = Limit(
 )  # fmt: skip
 SHORT_EACH_SHARE = Limit(
     "the same of each principal point", 0.02, "", "both must be short, not one far and one in the middle"
+)
+RAYLESS_SHARE = Limit(
+    "share of the image without ray",
+    0.002,
+    "",
+    "less is a few pixels in a corner; fits that are free there lose 0.01 to 0.4",
 )
 USUAL_OUTLIER_SHARE = Limit(
     "share of corners without weight", 0.01, "", "a few wild corners are every real set's share"
@@ -196,6 +203,25 @@ def _image_size(calibration: StereoCalibration) -> Figures:
         }
 
 
+def _folds(calibration: StereoCalibration) -> Figures:
+    """The lens model folds back inside the image; ``reach_px`` is how far from the principal point corners were seen."""
+    for side in ("left", "right"):
+        camera = getattr(calibration.rig, side)
+        found = pixels_without_ray(camera)
+        if found is None or not found.share > RAYLESS_SHARE.value:
+            continue
+        reach_px = float("nan")
+        if calibration.evidence is not None:
+            px = getattr(calibration.evidence.detections, f"{side}_px") - camera.parameters[2:4]
+            reach_px = float(np.sqrt(np.nanmax(np.vecdot(px, px))))
+        yield {
+            "camera": side,
+            "share_percent": 100 * found.share,
+            "radius_px": found.radius_px,
+            "reach_px": reach_px,
+        }
+
+
 def _unusual_outliers(calibration: StereoCalibration) -> Figures:
     n_outliers, n_corners = _count_outliers(calibration)
     if n_outliers > USUAL_OUTLIER_SHARE.value * n_corners:
@@ -222,6 +248,7 @@ OBSERVABILITY = (
     Rule("translation-undetermined", _translation, (BASELINE_SHARE,)),
     Rule("focal-length-uncertain", _weak_focal_length, (FOCAL_WARNING_SHARE,)),
     Rule("image-size-doubtful", _image_size, (SHORT_MEAN_SHARE, SHORT_EACH_SHARE)),
+    Rule("lens-model-folds", _folds, (RAYLESS_SHARE,)),
 )
 OUTLIERS = (Rule("corners-without-weight", _unusual_outliers, (USUAL_OUTLIER_SHARE,)),)
 RULES = (*FIT, *OBSERVABILITY, *OUTLIERS)

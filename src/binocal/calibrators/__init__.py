@@ -49,8 +49,8 @@ def calibrate(
 ) -> StereoCalibration:
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
-    ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the one with the least error on held-out
-    views (the simplest that is not clearly worse). Skew is 0 unless ``skew``. With ``max_views`` only the views that
+    ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the plainest, unless rows and lengths of
+    held-out views speak decisively for another. Skew is 0 unless ``skew``. With ``max_views`` only the views that
     determine depth best are used, at most so many; ``provenance["view_choice"]`` says what that costs. ``options`` are the
     calibrator's own. ``progress(what, done, total)`` is called and ``should_stop()`` asked as the work goes on.
     ``prior`` is an earlier calibration of the rig: its covariance counts as information beside the corners. A

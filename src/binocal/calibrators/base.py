@@ -21,8 +21,9 @@ MIN_VIEWS = 3  # two views determine four intrinsics and leave nothing to check 
 class CalibrationRequest:
     """What the user may choose.
 
-    ``model`` is a camera model's name, or ``auto``: the one with the least error on held-out views; a calibrator itself is
-    only ever asked for a named one. ``seed`` feeds every random choice. With ``max_views`` only the views that determine depth best
+    ``model`` is a camera model's name, or ``auto``: brown4, unless rows and lengths of held-out views speak decisively for
+    another; a calibrator itself is only ever asked for a named one.
+    ``seed`` feeds every random choice. With ``max_views`` only the views that determine depth best
     are used, at most so many. ``options`` are the method's own; one that it does not know is an error.
     ``prior`` is what is known of the rig before, part of it held exactly.
     ``board_shape``: whether the board is as drawn (``flat``), bowed, stretched and sheared (``warp``), any (``free``), or what the

@@ -5,8 +5,8 @@ Closed-form start, view diagnosis, joint robust solve, acceptance. Calibrators d
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
@@ -57,6 +57,23 @@ class Minimizer(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class NominalSolve:
+    """The minimum of the nominal problem (board as drawn, exposures together), its views, and what was found on the way.
+
+    ``views`` have their corner orders repaired; ``notes`` maps a view's name to what was repaired in it.
+    """
+
+    views: Detections
+    problem: BundleProblem
+    minimum: BundleMinimum
+    misfit_px: float
+    n_iterations: int
+    rejected: tuple[RejectedView, ...] = ()
+    notes: Mapping[str, str] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+
 def calibrate_jointly(
     detections: Detections, request: CalibrationRequest, *, minimizer: Minimizer = minimize
 ) -> StereoCalibration:
@@ -75,6 +92,35 @@ def calibrate_jointly(
         calibration, solve = clean
         return checked_as_a_whole(calibration, solve, given, copies, doubts_of_copies)
     request.check_stop()
+    nominal = solve_diagnosed(detections, request, minimizer)
+    solve = solve_as_they_were(nominal.problem, nominal.minimum, request)
+    calibration = summarize(
+        nominal.views,
+        solve,
+        request,
+        rejected=nominal.rejected,
+        notes=nominal.notes,
+        findings=nominal.findings,
+        n_iterations=nominal.n_iterations,
+        misfit_px=nominal.misfit_px,
+    )
+    try:
+        accepted = acceptance.apply_rules(calibration, is_converged=bool(solve.minimum.is_converged))
+    except CalibrationError as error:
+        motion = acceptance.gross_motion(calibration.exposure, 0.0, "what is left does not determine the rig")
+        if motion is not None:
+            raise refusal(motion, error.rejected) from error
+        raise
+    return checked_as_a_whole(accepted, solve, given, copies, doubts_of_copies)
+
+
+def solve_diagnosed(
+    detections: Detections, request: CalibrationRequest, minimizer: Minimizer = minimize
+) -> NominalSolve:
+    """The nominal problem's minimum over the views that a diagnosis leaves, without those that contradict the others.
+
+    Raises as :func:`binocal.initialization.diagnosis.diagnose_views`.
+    """
     diagnosis = diagnose_views(detections, request.model, has_skew=request.skew)
     rejected = diagnosis.rejected
     used = np.nonzero(diagnosis.is_used)[0]
@@ -95,29 +141,39 @@ def calibrate_jointly(
         rejected += tuple(RejectedView(views.names[i], found.text, found.code) for i, found in bad.items())
         start = replace(minimum.estimate, T_left_board=minimum.estimate.T_left_board[keep])
         used = used[keep]
+    notes = dict(zip(detections.names, diagnosis.notes, strict=True))
+    findings = (*doubts, *diagnosis.findings)
+    return NominalSolve(views, problem, minimum, misfit_px, n_iterations, rejected, notes, findings)
 
-    solve = _as_they_were(problem, minimum, request)
-    calibration = summarize(
-        views,
-        solve,
-        request,
-        rejected=rejected,
-        notes=dict(zip(detections.names, diagnosis.notes, strict=True)),
-        findings=(*doubts, *diagnosis.findings),
-        n_iterations=n_iterations,
-        misfit_px=misfit_px,
+
+def solve_clean(
+    detections: Detections, request: CalibrationRequest, minimizer: Minimizer = minimize
+) -> NominalSolve | None:
+    """The nominal problem's minimum over views in which nothing looks wrong, or None where that is not so.
+
+    No rule about the rig is asked.
+    """
+    if detections.n_views < MIN_VIEWS:
+        return None
+    start = estimate_verified_start(detections, request.model)
+    if start is None:
+        return None
+    estimate = BundleEstimate(
+        start.parameters,
+        SE3.unchecked(start.R_left_board, start.t_left_board),
+        SE3.unchecked(start.R_right_left, start.t_right_left),
     )
-    try:
-        accepted = acceptance.apply_rules(calibration, is_converged=bool(solve.minimum.is_converged))
-    except CalibrationError as error:
-        motion = acceptance.gross_motion(calibration.exposure, 0.0, "what is left does not determine the rig")
-        if motion is not None:
-            raise refusal(motion, error.rejected) from error
-        raise
-    return checked_as_a_whole(accepted, solve, given, copies, doubts_of_copies)
+    problem, minimum, misfit_px, n_iterations = solve_with_misfit(
+        detections, request, estimate, partial(_solve_clean, minimizer)
+    )
+    if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
+        return None
+    if _check_prior(detections, request, estimate, (problem, minimum)):
+        return None
+    return NominalSolve(detections, problem, polish_exact(problem, minimum), misfit_px, n_iterations)
 
 
-def _as_they_were(problem: BundleProblem, minimum: BundleMinimum, request: CalibrationRequest) -> RealViewsSolve:
+def solve_as_they_were(problem: BundleProblem, minimum: BundleMinimum, request: CalibrationRequest) -> RealViewsSolve:
     """The minimum with board and exposures freed as the request and the data say; exact corners are of an exact board."""
     request.check_stop()
     is_exact = bool(minimum.scale_px <= EXACT_SCALES * robust.SCALE_FLOOR_PX)
@@ -147,24 +203,10 @@ def _calibrate_clean(
 
     With any doubt the views are diagnosed, which names the cause.
     """
-    if detections.n_views < MIN_VIEWS:
+    nominal = solve_clean(detections, request, minimizer)
+    if nominal is None:
         return None
-    start = estimate_verified_start(detections, request.model)
-    if start is None:
-        return None
-    estimate = BundleEstimate(
-        start.parameters,
-        SE3.unchecked(start.R_left_board, start.t_left_board),
-        SE3.unchecked(start.R_right_left, start.t_right_left),
-    )
-    problem, minimum, misfit_px, n_iterations = solve_with_misfit(
-        detections, request, estimate, partial(_solve_clean, minimizer)
-    )
-    if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
-        return None
-    if _check_prior(detections, request, estimate, (problem, minimum)):
-        return None
-    solve = _as_they_were(problem, polish_exact(problem, minimum), request)
+    solve = solve_as_they_were(nominal.problem, nominal.minimum, request)
     try:
         calibration = summarize(
             detections,
@@ -173,8 +215,8 @@ def _calibrate_clean(
             rejected=(),
             notes={},
             findings=(),
-            n_iterations=n_iterations,
-            misfit_px=misfit_px,
+            n_iterations=nominal.n_iterations,
+            misfit_px=nominal.misfit_px,
         )
     except CalibrationError:
         return None
