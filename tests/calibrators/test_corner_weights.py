@@ -123,3 +123,53 @@ def test_the_most_informative_views_are_the_sharp_ones():
     chosen = select_views(detections, CalibrationRequest("brown4", max_views=12))
     assert np.all(chosen.views % 2 == 0)  # every other view is blurred
     assert chosen.depth_sigma < 1.3 * chosen.all_depth_sigma
+
+
+def overlapping(detections, rng, sigma_px=0.02):
+    """Corners whose errors are means over 1.7 squares of their edges, a square apart: neighbours share 0.7 of them."""
+    edges = 4 * 17  # a cell is a quarter of a tenth of a square
+    n_rows, n_columns, step = BOARD.rows, BOARD.columns, 40
+    moved, n_views = [], detections.n_views
+    for px in (detections.left_px, detections.right_px):
+        x, y = (
+            rng.standard_normal((n_views, across, (along - 1) * step + edges))
+            for across, along in ((n_columns, n_rows), (n_rows, n_columns))
+        )
+        sums = [np.cumsum(np.concatenate([np.zeros((*e.shape[:2], 1)), e], -1), -1) for e in (x, y)]
+        means = [(s[..., edges::step] - s[..., :-edges:step]) / np.sqrt(edges) for s in sums]
+        error = np.stack([means[0].swapaxes(1, 2), means[1]], axis=-1).reshape(n_views, -1, 2)
+        moved.append(px + sigma_px * error)
+    rho = 0.7 / 1.7
+    n_beside = [np.pad(np.full(n - 2, 2.0), 1, constant_values=1.0) for n in (n_rows, n_columns)]
+    share = np.stack(np.meshgrid(*n_beside, indexing="ij"), axis=-1).reshape(-1, 2)  # along y for x, along x for y
+    own = np.broadcast_to(sigma_px**2 * np.eye(2), (*px.shape, 2))
+    cross = np.broadcast_to(sigma_px**2 * rho * share[:, :, None] * np.eye(2), (*px.shape, 2))
+    return replace(
+        detections,
+        left_px=moved[0],
+        right_px=moved[1],
+        left_covariance_px2=own,
+        right_covariance_px2=own,
+        left_cross_covariance_px2=cross,
+        right_cross_covariance_px2=cross,
+    )
+
+
+def test_pixels_that_corners_share_are_counted_once():
+    # 40 rigs of 22 parameters: the mean scatters by 5 %; 1.00 measured over 200 rigs, 1.61 with independent corners
+    rng, rig = np.random.default_rng(8), table2_rig()
+    scores, before = [], []
+    for _ in range(40):
+        scene = StereoScene(rig, BOARD, sample_board_poses(rig, BOARD, 10, rng))
+        detections = overlapping(simulate_detections(scene, rng), rng)
+        alone = replace(detections, left_cross_covariance_px2=None, right_cross_covariance_px2=None)
+        for corners, kept in ((detections, scores), (alone, before)):
+            calibration = calibrate(corners, model=rig.left.model)
+            free = np.arange(len(rig.left.parameters)) != 4
+            sides = [
+                (getattr(calibration.rig, s).parameters - getattr(rig, s).parameters)[free] for s in ("left", "right")
+            ]
+            error = np.concatenate([*sides, errors_of(calibration, rig)])
+            kept.append(error @ np.linalg.solve(calibration.covariance.matrix, error) / len(error))
+    assert np.mean(scores) == pytest.approx(1, abs=0.15)
+    assert np.mean(before) > 1.35

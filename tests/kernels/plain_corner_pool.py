@@ -7,25 +7,61 @@ import numpy as np
 MIN_CORNERS_TO_POOL, LEAST_SLOPE_SPREAD, NOISE_SPREAD, MAX_MISFIT = 12, 2e-5, 1.3, 0.1
 FAR_OFF, MOST_BEND_PX = 3.5, 0.1
 FAR_SLOPE, CHANCE, PIXELS_PER_CELL = 3.0, 8.0, 15.0
+LEAST_LONG, MOST_LONG, OFF_LINE, LEAST_APART_PX, ROUNDING = 0.4, 16.0, 0.3, 2.5, 1 / 12
+MOST_CROSSING = 0.3
 
 
 def pool(fits, board_xy):
-    """Points, covariances, misfits and noise."""
+    """Points, covariances, sums of cross-covariances, misfits and noise."""
     is_fitted = np.isfinite(fits.points_px[:, 0])
     noise2 = max(float(np.median(fits.odd_variance[is_fitted])), 1 / 12) if is_fitted.any() else np.nan
     misfit = fits.odd_variance / noise2
     is_fitted &= ~(np.sqrt(np.maximum(fits.odd_variance - noise2, 0)) > MAX_MISFIT * np.abs(fits.contrast_dn))
-    joint = fits.joint_covariance * (noise2 * np.maximum(1, misfit / NOISE_SPREAD))[:, None, None]
+    scale = coherence(fits.long_variance[is_fitted & (misfit < 2)], noise2) * noise2
+    joint = fits.joint_covariance * (scale * np.maximum(1, misfit / NOISE_SPREAD))[:, None, None]
     points, covariance = share_slope(fits.points_px, fits.light_slope, joint, is_fitted & (misfit < 2))
     if board_xy is not None:
         points -= bending_shift(board_xy, points, fits, is_fitted & (misfit < 2))
     coherent = misfit - 1 - CHANCE / np.sqrt(np.maximum(fits.n_pixels, 1))
     growth = (1 + np.maximum(coherent, 0) * fits.n_pixels / PIXELS_PER_CELL) / np.maximum(1, misfit / NOISE_SPREAD)
     covariance *= np.maximum(growth, 1)[:, None, None]
-    covariance += sampling_covariance(fits)
     points[~is_fitted] = np.nan
-    covariance[~is_fitted] = np.nan
-    return points, covariance, misfit, np.sqrt(noise2)
+    cross = cross_covariance(points, covariance, fits)
+    covariance += sampling_covariance(fits)
+    covariance[~is_fitted] = cross[~is_fitted] = np.nan
+    return points, covariance, cross, misfit, np.sqrt(noise2)
+
+
+def coherence(long_variance, noise2):
+    """Variance of the noise as it moves corners over that of the pixels' noise."""
+    ratios = long_variance[np.isfinite(long_variance)] / noise2
+    if len(ratios) < 8:
+        return 1.0
+    off, chance2 = ratios.mean() - 1, ratios.var() / (len(ratios) - 1)
+    shrunk = 1 + max(0.0, 1 - chance2 / off**2) * off
+    return max(np.clip(shrunk, LEAST_LONG, MOST_LONG), ROUNDING / noise2)
+
+
+def cross_covariance(points, covariance, fits):
+    """Each corner's covariances with the others on its edges, summed: the parts of the edges that both discs hold."""
+    n, radius = len(points), fits.radius_px
+    normals = np.stack([-np.sin(fits.edges_rad), np.cos(fits.edges_rad)], axis=-1)
+    sigma = np.sqrt(np.einsum("nki,nij,nkj->nk", normals, covariance, normals))
+    length = 2 * (radius - np.minimum(1.13 * fits.blur_px.mean(axis=1), MOST_CROSSING * radius))
+    sums = np.zeros((n, 2))
+    for i in range(n):
+        for j in range(n):
+            way = points[j] - points[i]
+            apart = np.hypot(*way)
+            shared = min(radius[i] + radius[j] - apart, 2 * min(radius[i], radius[j]))
+            if i == j or not shared > 0 or apart < LEAST_APART_PX:
+                continue
+            for k in (0, 1):
+                for m in (0, 1):
+                    if max(abs(normals[i, k] @ way), abs(normals[j, m] @ way)) <= OFF_LINE * apart:
+                        sums[i, k] += shared / np.sqrt(length[i] * length[j]) * sigma[i, k] * sigma[j, m]
+    back = np.linalg.inv(np.where(np.isfinite(normals), normals, np.eye(2)))
+    return np.einsum("nik,nk,njk->nij", back, sums, back)
 
 
 def bending_shift(board_xy, points, fits, is_sound):

@@ -7,13 +7,13 @@ import pytest
 from binocal.kernels.corner_fits import CORNER_FIT, CornerFits, pool_corners
 
 
-def make_fits(columns, rows, seed=0):
+def make_fits(columns, rows, seed=0, spacing=((41.0, 3.0), (-6.0, 33.0))):
     """Fits as a bent board under a slope of light would give, with one covered, one dull and one failed corner."""
     rng = np.random.default_rng(seed)
     n = columns * rows
     xy = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) * 0.02
     flat = xy / 0.02 - [columns / 2, rows / 2]
-    points = 300 + flat @ [[41.0, 3.0], [-6.0, 33.0]] * (1 + 4e-4 * (flat**2).sum(axis=1, keepdims=True))
+    points = 300 + flat @ spacing * (1 + 4e-4 * (flat**2).sum(axis=1, keepdims=True))
     fits = np.zeros(n, CORNER_FIT)
     fits["point_px"] = points + 0.01 * rng.standard_normal((n, 2))
     fits["light_slope"] = 1e-6 * (points - 300) + 3e-4 + 2e-4 * rng.standard_normal((n, 2))
@@ -25,6 +25,7 @@ def make_fits(columns, rows, seed=0):
     fits["blur_px"] = rng.uniform(0.26, 1.5, (n, 2))
     fits["edges_rad"] = np.array([0.07, 1.75]) + 0.05 * rng.standard_normal((n, 2))
     fits["radius_px"] = rng.uniform(4, 14, n)
+    fits["long_variance"] = np.where(rng.random(n) < 0.4, np.nan, 1.6 * rng.uniform(5, 14, n))
     fits["odd_variance"][2] = 900.0
     fits["odd_variance"][4] = 18.0
     fits.view(float).reshape(n, -1)[3] = np.nan
@@ -33,15 +34,18 @@ def make_fits(columns, rows, seed=0):
 
 @pytest.mark.parametrize("size", [(11, 8), (7, 5), (5, 4), (5, 2), (9, 7)], ids=str)
 @pytest.mark.parametrize("has_places", [True, False])
-def test_pooling_is_the_plain_statement(size, has_places):
-    fits, xy = make_fits(*size)
+@pytest.mark.parametrize("spacing", [((41.0, 3.0), (-6.0, 33.0)), ((16.0, 1.2), (-2.4, 13.0))], ids=["wide", "narrow"])
+def test_pooling_is_the_plain_statement(size, has_places, spacing):
+    fits, xy = make_fits(*size, spacing=spacing)
     places = xy if has_places else None
     pooled = pool_corners(fits, places)
-    points, covariance, misfit, noise = plain.pool(fits, places)
+    points, covariance, cross, misfit, noise = plain.pool(fits, places)
     assert np.isnan(pooled.points_px[[2, 3]]).all() and np.isnan(pooled.covariance_px2[[2, 3]]).all()
     assert np.isfinite(np.delete(pooled.points_px, [2, 3], axis=0)).all()
     assert np.allclose(pooled.points_px, points, rtol=0, atol=1e-9, equal_nan=True)
     assert np.allclose(pooled.covariance_px2, covariance, rtol=1e-9, atol=1e-15, equal_nan=True)
+    assert np.allclose(pooled.cross_covariance_px2, cross, rtol=1e-9, atol=1e-15, equal_nan=True)
+    assert np.any(np.nan_to_num(cross)) == (spacing[0][0] < 28)
     assert np.allclose(pooled.misfit, misfit, equal_nan=True) and pooled.noise_dn == pytest.approx(noise)
 
 
@@ -59,6 +63,6 @@ def test_a_corner_in_the_wrong_place_moves_no_other(size):
 
 
 def test_no_fit_gives_no_noise():
-    pooled = pool_corners(CornerFits(np.full((5, 24), np.nan).view(CORNER_FIT)[:, 0]), None)
+    pooled = pool_corners(CornerFits(np.full((5, 25), np.nan).view(CORNER_FIT)[:, 0]), None)
     assert np.isnan(pooled.noise_dn) and np.isnan(pooled.points_px).all()
     assert len(pool_corners(CornerFits(np.empty(0, CORNER_FIT)), np.empty((0, 2))).points_px) == 0

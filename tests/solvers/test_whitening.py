@@ -1,10 +1,12 @@
 """Corner weights: the algebra, and the misfit that the covariances do not know of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from binocal.evidence import Detections
-from binocal.solvers.whitening import corner_weights, estimate_misfit_px, inverse_root
+from binocal.solvers.whitening import corner_weights, estimate_misfit_px, expected_lengths2, inverse_root
 
 
 def covariances(rng, *shape):
@@ -12,11 +14,12 @@ def covariances(rng, *shape):
     return root @ root.swapaxes(-1, -2)
 
 
-def detections_with(left, right, n_views=3, n=30):
+def detections_with(left, right, n_views=3, n=30, **cross):
     px = np.random.default_rng(0).uniform(0, 400, (2, n_views, n, 2))
     px[0, 1, :4] = np.nan
     points = np.column_stack([np.arange(n), np.arange(n) % 5, np.zeros(n)])
-    return Detections.from_arrays(points, *px, (640, 480), left_covariance_px2=left, right_covariance_px2=right)
+    plain = Detections.from_arrays(points, *px, (640, 480), left_covariance_px2=left, right_covariance_px2=right)
+    return replace(plain, **cross)
 
 
 def test_the_inverse_root_whitens():
@@ -91,3 +94,29 @@ def test_no_misfit_is_added_where_the_covariances_are_large_enough():
     detections = detections_with(wide, wide)
     residuals = tuple(np.full((3, 30), 0.01**2) for _ in range(2))
     assert estimate_misfit_px(detections, residuals) == 0.0
+
+
+def test_what_corners_have_in_common_counts_as_if_it_were_each_ones_own():
+    rng = np.random.default_rng(4)
+    own, cross = covariances(rng, 3, 30), covariances(rng, 3, 30)
+    cross[0, 5] = np.nan  # not known: independent
+    shared = detections_with(own, own, left_cross_covariance_px2=cross)
+    known = np.nan_to_num(cross)
+    total = detections_with(own + known, own)
+    assert np.allclose(corner_weights(shared, 0.03).left, corner_weights(total, 0.03).left)
+    expected, independent = expected_lengths2(shared, 0.03)
+    misfit = 0.03**2 * np.eye(2)
+    trace = np.trace(np.linalg.inv(own + known + misfit) @ (own + misfit), axis1=-2, axis2=-1)
+    assert np.allclose(expected, trace) and expected[0, 5] == pytest.approx(2) and np.all(independent == 2)
+    assert expected_lengths2(detections_with(own, own), 0.03) is None
+
+
+@pytest.mark.usefixtures("unchecked_types")
+def test_cross_covariances_go_with_their_corners():
+    good = covariances(np.random.default_rng(1), 3, 30)
+    detections = detections_with(good, None, left_cross_covariance_px2=2 * good)
+    assert np.array_equal(detections.select(np.array([2, 1])).left_cross_covariance_px2, 2 * good[[2, 1]])
+    turned = detections.reorder("left", {1: np.arange(30)[::-1]})
+    assert np.array_equal(turned.left_cross_covariance_px2[1], 2 * good[1, ::-1])
+    with pytest.raises(ValueError, match="left view 0, corner 0: not a covariance"):
+        detections_with(good, None, left_cross_covariance_px2=-good)

@@ -155,8 +155,9 @@ def _can_free(problem: RealViewsProblem, solve: RealViewsSolve, board_shape: Boa
     return is_enough or board_shape == "warp"
 
 
-def _n_coordinates(problem: RealViewsProblem, minimum: RealViewsMinimum) -> int:
-    return 2 * sum(int(used.sum()) for used in inliers(problem, minimum))
+def _n_coordinates(problem: RealViewsProblem, minimum: RealViewsMinimum) -> float:
+    used = inliers(problem, minimum)
+    return sum(c.n_coordinates(of_camera) for c, of_camera in zip(problem.cameras, used, strict=True))
 
 
 def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> RealViewsSolve:

@@ -6,6 +6,7 @@ Shared by every calibrator that ends in the joint problem.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy import ndarray
@@ -50,8 +51,13 @@ def joint_problem(
     problem = BundleProblem(
         np.ascontiguousarray(views.object_points_m.T),
         tuple(
-            CameraObservations.from_corners(model, px, skew=request.skew, whitening=whitening)
-            for px, whitening in ((views.left_px, weights.left), (views.right_px, weights.right))
+            replace(
+                CameraObservations.from_corners(model, px, skew=request.skew, whitening=whitening), lengths2=lengths2
+            )
+            for px, whitening, lengths2 in (
+                (views.left_px, weights.left, weights.left_lengths2),
+                (views.right_px, weights.right, weights.right_lengths2),
+            )
         ),
     )
     if request.prior is None:

@@ -139,13 +139,14 @@ def _measure(
     if touches:
         start = np.where(seen[:, None], points, rough)
         xy = board.object_points_m[:, :2]
-        points, covariance = measure_corners(
+        points, covariance, cross = measure_corners(
             grey, start, xy, board.tag_gap_ratio * side, border * side, per_reach=window_per_side / board.tag_gap_ratio
         )
     else:
         covariance = corner_covariance(grey, points, side, per_spacing=window_per_side) + L_CORNER_BIAS_PX**2 * np.eye(
             2
         )
+        cross = np.zeros_like(covariance)
     points[np.linalg.norm(points - rough, axis=1) > np.maximum(0.15 * side, 2.5)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= 4:
@@ -155,8 +156,8 @@ def _measure(
         return not_found(
             n, f"only {seen.sum()} tag corners could be measured; the image is too blurred or the tags are too small"
         )
-    covariance[~seen] = np.nan
+    covariance[~seen] = cross[~seen] = np.nan
     note = ""
     if not touches:
         note = "the tags' corners touch no black squares, which costs accuracy (about 0.1 px); Kalibr's print has them"
-    return FoundBoard(points, covariance, note=note)
+    return FoundBoard(points, covariance, note=note, cross_covariance_px2=cross)

@@ -118,7 +118,7 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
     # The fit's bands end before the blurred edge of the markers begins: a window that reached 0.38 squares tripled the
     # residuals of a real set (640x480, squares of 20-40 px).
     margin = 0.5 * (1 - board.marker_m / board.pitch_m)
-    points, covariance = measure_corners(
+    points, covariance, cross = measure_corners(
         grey, predicted, board.object_points_m[:, :2], height, margin * height, per_reach=0.9 * margin
     )
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
@@ -132,8 +132,8 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
             board.n_points,
             f"only {seen.sum()} corners seen beside {len(quads)} markers; at least {MIN_CORNERS} off one line needed",
         )
-    covariance[~seen] = np.nan
-    return FoundBoard(points, covariance)
+    covariance[~seen] = cross[~seen] = np.nan
+    return FoundBoard(points, covariance, cross_covariance_px2=cross)
 
 
 def _span_plane(xy: Float[ndarray, "n 2"]) -> bool:

@@ -16,8 +16,9 @@ class FoundBoard(ArrayValue):
     """The board's points in one image, in the board's own order.
 
     ``points_px`` is NaN where a point was not seen, all NaN where the board was not found; ``reason`` then says why,
-    and is empty otherwise. ``covariance_px2`` is each point's estimated covariance, NaN where it was not seen. ``note``
-    says what a careful reader should know of a found board. ``size_seen`` is the size of the grid that was seen instead
+    and is empty otherwise. ``covariance_px2`` is each point's estimated covariance, NaN where it was not seen;
+    ``cross_covariance_px2`` the sum of those with the other points, None where points share no pixels. ``note`` says
+    what a careful reader should know of a found board. ``size_seen`` is the size of the grid that was seen instead
     of the board's (columns and rows, the larger first), for hints.
     """
 
@@ -26,11 +27,15 @@ class FoundBoard(ArrayValue):
     reason: str = ""
     note: str = ""
     size_seen: tuple[int, int] | None = None
+    cross_covariance_px2: Float[ndarray, "n 2 2"] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("points_px", "covariance_px2"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
-        if self.points_px.ndim != 2 or self.covariance_px2.shape != (*self.points_px.shape, 2):
+        for name in ("points_px", "covariance_px2", "cross_covariance_px2"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        shape = (*self.points_px.shape, 2)
+        is_wrong = self.cross_covariance_px2 is not None and self.cross_covariance_px2.shape != shape
+        if self.points_px.ndim != 2 or self.covariance_px2.shape != shape or is_wrong:
             raise ValueError(
                 f"points (n, 2) need covariances (n, 2, 2); got {self.points_px.shape}, {self.covariance_px2.shape}"
             )

@@ -94,6 +94,8 @@ def detect_pairs(
         notes.append("left images are {}x{}, right ones {}x{}".format(*sizes["left"], *sizes["right"]))
     points = {side: np.stack([_points(sides[side][i], board) for i in kept]) for side in _SIDES}
     covariances = {side: np.stack([_covariance(sides[side][i], board) for i in kept]) for side in _SIDES}
+    cross = {side: np.stack([_cross_covariance(sides[side][i], board) for i in kept]) for side in _SIDES}
+    shares_pixels = any(bool(np.nan_to_num(of_side).any()) for of_side in cross.values())
     detections = Detections(
         board.object_points_m,
         points["left"],
@@ -104,6 +106,8 @@ def detect_pairs(
         board.is_metric,
         covariances["left"],
         covariances["right"],
+        left_cross_covariance_px2=cross["left"] if shares_pixels else None,
+        right_cross_covariance_px2=cross["right"] if shares_pixels else None,
     )
     return PairDetections(
         detections,
@@ -257,6 +261,14 @@ def _digest(images: Sequence[_Seen]) -> str:
 
 def _points(image: _Seen, board: Board) -> ndarray:
     return image.found.points_px if image.found is not None else np.full((board.n_points, 2), np.nan)
+
+
+def _cross_covariance(image: _Seen, board: Board) -> ndarray:
+    """Zero where a kind of board has none."""
+    if image.found is None:
+        return np.full((board.n_points, 2, 2), np.nan)
+    cross = image.found.cross_covariance_px2
+    return np.where(np.isnan(image.found.covariance_px2), np.nan, 0.0) if cross is None else cross
 
 
 def _covariance(image: _Seen, board: Board) -> ndarray:

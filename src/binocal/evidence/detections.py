@@ -13,6 +13,14 @@ from binocal.errors import DataError
 from binocal.shapes import Bool, Float, Int
 from binocal.values import ArrayValue, frozen_array
 
+COVARIANCES = (
+    "left_covariance_px2",
+    "right_covariance_px2",
+    "left_cross_covariance_px2",
+    "right_cross_covariance_px2",
+)
+PER_CORNER = ("left_px", "right_px", *COVARIANCES)  # the arrays (views, n, ...)
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Detections(ArrayValue):
@@ -21,6 +29,8 @@ class Detections(ArrayValue):
     NaN marks a corner that was not seen; a view may lack a camera altogether. ``is_metric`` says that object points
     are metres. Covariances say how well each corner was measured, NaN (or None for all of a camera's) where that is not
     known; the solver weighs corners accordingly. ``board_spec`` is the board's SPEC text, where somebody said it.
+    Cross-covariances are, for each corner, the sum of its covariances with the image's other corners (symmetric part),
+    where corners were measured from some of the same pixels; None where their errors are independent.
     """
 
     object_points_m: Float[ndarray, "n 3"]
@@ -33,6 +43,8 @@ class Detections(ArrayValue):
     left_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
     right_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
     board_spec: str | None = None
+    left_cross_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
+    right_cross_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
 
     def __post_init__(self) -> None:
         arrays = {}
@@ -74,10 +86,10 @@ class Detections(ArrayValue):
         self._keep_covariances()
 
     def _keep_covariances(self) -> None:
-        for side in ("left", "right"):
-            if getattr(self, f"{side}_covariance_px2") is None:
+        for side, kind in ((side, kind) for side in ("left", "right") for kind in ("covariance", "cross_covariance")):
+            if getattr(self, f"{side}_{kind}_px2") is None:
                 continue
-            covariance = frozen_array(getattr(self, f"{side}_covariance_px2"))
+            covariance = frozen_array(getattr(self, f"{side}_{kind}_px2"))
             if covariance.shape != (*self.left_px.shape, 2):
                 raise ValueError(f"{side} covariances must be {(*self.left_px.shape, 2)}; got {covariance.shape}")
             xx, xy, yx, yy = (covariance[..., i, j] for i in (0, 1) for j in (0, 1))
@@ -89,7 +101,7 @@ class Detections(ArrayValue):
                 raise ValueError(
                     f"{side} view {self.names[view]}, corner {corner}: not a covariance (NaN where unknown)"
                 )
-            object.__setattr__(self, f"{side}_covariance_px2", covariance)
+            object.__setattr__(self, f"{side}_{kind}_px2", covariance)
 
     @staticmethod
     def from_arrays(
@@ -163,20 +175,13 @@ class Detections(ArrayValue):
     def select(self, views: Int[ndarray, "k"] | Bool[ndarray, "views"]) -> Detections:
         """The detections of some views only, in the order given."""
         index = np.arange(self.n_views)[views]
-        left, right = self.left_covariance_px2, self.right_covariance_px2
-        return replace(
-            self,
-            left_px=self.left_px[index],
-            right_px=self.right_px[index],
-            names=tuple(self.names[i] for i in index),
-            left_covariance_px2=None if left is None else left[index],
-            right_covariance_px2=None if right is None else right[index],
-        )
+        arrays = {name: value[index] for name in PER_CORNER if (value := getattr(self, name)) is not None}
+        return replace(self, names=tuple(self.names[i] for i in index), **arrays)
 
     def reorder(self, side: Literal["left", "right"], orders: Mapping[int, Int[ndarray, "n"]]) -> Detections:
         """The detections with one camera's corners in another order, view by view: corner i becomes ``order[i]``."""
         changed = {}
-        for name in (f"{side}_px", f"{side}_covariance_px2"):
+        for name in (name for name in PER_CORNER if name.startswith(side)):
             if orders and getattr(self, name) is not None:
                 array = getattr(self, name).copy()
                 for view, order in orders.items():

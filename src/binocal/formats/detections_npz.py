@@ -25,13 +25,13 @@ from numpy import ndarray
 
 from binocal.errors import DataError, FormatError
 from binocal.evidence import Detections
+from binocal.evidence.detections import COVARIANCES
 from binocal.output import write_aside
 from binocal.result import BoardShape
 
 SCHEMA, VERSION = "binocal/detections", 1
 HEADER = "header"
 ARRAYS = ("object_points_m", "left_px", "right_px")
-COVARIANCES = ("left_covariance_px2", "right_covariance_px2")
 SHAPE_ARRAYS = ("points_m", "sigma_m")
 SHAPE_FIGURES = tuple(field.name for field in fields(BoardShape) if field.name not in SHAPE_ARRAYS)
 REMEDY = "write it anew with `binocal calibrate --evidence` or binocal.write_detections"

@@ -28,11 +28,19 @@ CORNER_FIT = np.dtype(
         ("radius_px", float),
         ("n_pixels", float),
         ("n_evaluations", float),
+        ("long_variance", float),
     ]
 )
 """The kernel's ``CornerResult``: ``covariance`` is the upper triangle, row by row, of that of x, y and the two slopes."""
 
-POOLED_CORNER = np.dtype([("point_px", float, 2), ("covariance_px2", float, (2, 2)), ("misfit", float)])
+POOLED_CORNER = np.dtype(
+    [
+        ("point_px", float, 2),
+        ("covariance_px2", float, (2, 2)),
+        ("cross_covariance_px2", float, (2, 2)),
+        ("misfit", float),
+    ]
+)
 """The kernel's ``PooledCorner``."""
 
 CORNER_INPUT = np.dtype([("point_px", float, 2), ("reach_px", float), ("strip_px", float)])
@@ -112,6 +120,11 @@ class CornerFits:
         return self.records["n_pixels"]
 
     @property
+    def long_variance(self) -> Float[ndarray, "n"]:
+        """Variance of independent noise that would scatter the corner as the image's does, grey levels^2; NaN if not measured."""
+        return self.records["long_variance"]
+
+    @property
     def n_evaluations(self) -> Float[ndarray, "n"]:
         """How often the model was evaluated."""
         return self.records["n_evaluations"]
@@ -141,11 +154,13 @@ def fit_corners(
 class PooledCorners:
     """Corners and covariances that share an image's noise and light, NaN where there is no corner.
 
+    ``cross_covariance_px2`` is the sum of a corner's covariances with the others, which share pixels with it.
     ``misfit`` is the variance of the residuals' odd part over the image's noise.
     """
 
     points_px: Float[ndarray, "n 2"]
     covariance_px2: Float[ndarray, "n 2 2"]
+    cross_covariance_px2: Float[ndarray, "n 2 2"]
     misfit: Float[ndarray, "n"]
     noise_dn: float
 
@@ -157,7 +172,13 @@ def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> Po
     """
     pooled = np.empty(len(fits.records), POOLED_CORNER)
     noise2 = _kernel.pool_corners(_numbers(fits.records), as_floats(board_xy), _numbers(pooled))
-    return PooledCorners(pooled["point_px"], pooled["covariance_px2"], pooled["misfit"], math.sqrt(noise2))
+    return PooledCorners(
+        pooled["point_px"],
+        pooled["covariance_px2"],
+        pooled["cross_covariance_px2"],
+        pooled["misfit"],
+        math.sqrt(noise2),
+    )
 
 
 def _numbers(records: Shaped[ndarray, "n"]) -> Float[ndarray, "n k"]:

@@ -53,7 +53,8 @@ class CameraObservations:
     """One camera's corners and which of its parameters are free.
 
     Pixels are component-first and finite everywhere: 0 where a corner was not seen. ``whitening`` is that of
-    :class:`binocal.solvers.whitening.CornerWeights`, None where all corners are alike.
+    :class:`binocal.solvers.whitening.CornerWeights`, None where all corners are alike. ``lengths2`` are what squared residuals
+    are on average over the square of the noise, 2 of every corner where None (less where corners share pixels).
     """
 
     model: CameraModel = field(metadata=SHARED)
@@ -61,6 +62,7 @@ class CameraObservations:
     is_seen: Bool[ndarray, "*batch views n"]
     is_free: Bool[ndarray, "p"] = field(metadata=SHARED)
     whitening: Float[ndarray, "*batch views 3 n"] | None = None
+    lengths2: Float[ndarray, "*batch views n"] | None = None
 
     @staticmethod
     def from_corners(
@@ -89,7 +91,14 @@ class CameraObservations:
     def each_view_alone(self) -> CameraObservations:
         """The views of one rig as a batch of rigs with one view each."""
         whitening = None if self.whitening is None else self.whitening[:, None]
-        return replace(self, pixels=self.pixels[:, None], is_seen=self.is_seen[:, None], whitening=whitening)
+        lengths2 = None if self.lengths2 is None else self.lengths2[:, None]
+        return replace(
+            self, pixels=self.pixels[:, None], is_seen=self.is_seen[:, None], whitening=whitening, lengths2=lengths2
+        )
+
+    def n_coordinates(self, is_used: Bool[ndarray, "views n"]) -> float:
+        """How many independent coordinates these corners are, of one rig: two each, fewer where they share pixels."""
+        return 2.0 * int(is_used.sum()) if self.lengths2 is None else float(self.lengths2[is_used].sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +223,7 @@ class BundleProblem:
     @property
     def unwhitened(self) -> BundleProblem:
         """The same measurements with all corners alike: residuals in pixels."""
-        return replace(self, cameras=tuple(replace(c, whitening=None) for c in self.cameras))
+        return replace(self, cameras=tuple(replace(c, whitening=None, lengths2=None) for c in self.cameras))
 
     @property
     def n_shared(self) -> int:

@@ -117,9 +117,9 @@ def residual_noise_px(
     """
     weighted = sum(float(e.gram[..., -1, -1].sum()) for e in minimum.equations.cameras)
     used = inliers(problem, minimum) if used is None else used
-    n_used = sum(int(is_inlier.sum()) for is_inlier in used)
+    n_measured = sum(c.n_coordinates(of_camera) for c, of_camera in zip(problem.cameras, used, strict=True))
     n_views = int(np.logical_or.reduce([is_inlier.any(axis=-1) for is_inlier in used]).sum())
-    freedom = 2 * n_used - 6 * n_views - problem.n_free
+    freedom = n_measured - 6 * n_views - problem.n_free
     if freedom <= 0:
         raise refusal(finding("too-few-measurements"))
     return float(np.sqrt(weighted / freedom))

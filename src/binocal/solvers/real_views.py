@@ -177,6 +177,7 @@ class RealViewsProblem:
                 pixels=c.pixels[views],
                 is_seen=c.is_seen[views],
                 whitening=None if c.whitening is None else c.whitening[views],
+                lengths2=None if c.lengths2 is None else c.lengths2[views],
             )
             for c in self.nominal.cameras
         )

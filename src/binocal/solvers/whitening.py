@@ -25,12 +25,15 @@ class CornerWeights:
     """What the residuals of each camera are multiplied by, None where all corners are alike.
 
     A residual (u, v) becomes (a u, b u + c v). Whitened residuals are pixels of a corner with the noise ``unit_px``: as
-    many corners of that noise would carry as much information as these do.
+    many corners of that noise would carry as much information as these do. ``left_lengths2`` and ``right_lengths2`` are what
+    squared whitened residuals are on average over the square of the noise; None: 2 of all.
     """
 
     left: Float[ndarray, "views 3 n"] | None = None
     right: Float[ndarray, "views 3 n"] | None = None
     unit_px: float = 0.0
+    left_lengths2: Float[ndarray, "views n"] | None = None
+    right_lengths2: Float[ndarray, "views n"] | None = None
 
     @property
     def is_uniform(self) -> bool:
@@ -41,29 +44,63 @@ class CornerWeights:
         """The weights of some views only."""
         if self.left is None or self.right is None:
             return self
-        return CornerWeights(self.left[views], self.right[views], self.unit_px)
+        lengths2 = [None if a is None else a[views] for a in (self.left_lengths2, self.right_lengths2)]
+        return CornerWeights(self.left[views], self.right[views], self.unit_px, *lengths2)
 
 
 def corner_weights(detections: Detections, misfit_px: float = 0.0) -> CornerWeights:
     """Weights from the corners' covariances, each widened by the misfit (standard deviation of one coordinate).
 
-    A corner of unknown covariance is taken for one of ``unit_px``.
+    A corner of unknown covariance is taken for one of ``unit_px``. Cross-covariances are added to a corner's own: of what
+    varies slowly over a board, as all that the rig is estimated from does, the sum of the corners' information is then that
+    of their pixels, each counted once (row sums of the covariance matrix in place of the matrix).
     """
     if not detections.has_covariances:
         return CornerWeights()
-    sides = (detections.left_covariance_px2, detections.right_covariance_px2)
     factors, information = [], []
-    for covariance, is_seen in zip(sides, (detections.left_is_seen, detections.right_is_seen), strict=True):
+    for side, is_seen in (("left", detections.left_is_seen), ("right", detections.right_is_seen)):
+        covariance, cross = _covariances(detections, side)
         factor = np.full((*is_seen.shape[:1], 3, *is_seen.shape[1:]), np.nan)
         if covariance is not None:
-            factor = inverse_root(covariance, max(misfit_px, robust.SCALE_FLOOR_PX))
+            total = covariance if cross is None else covariance + cross
+            factor = inverse_root(total, max(misfit_px, robust.SCALE_FLOOR_PX))
             information.append(0.5 * np.sum(factor**2, axis=1)[is_seen])
         factors.append(factor)
     known = np.concatenate(information)
     unit_px = float(1 / np.sqrt(np.nanmean(known)))
     one = np.array([1.0, 0.0, 1.0])[:, None]
     left, right = (np.where(np.isfinite(factor), unit_px * factor, one) for factor in factors)
-    return CornerWeights(left, right, unit_px)
+    return CornerWeights(left, right, unit_px, *(expected_lengths2(detections, misfit_px) or ()))
+
+
+def expected_lengths2(detections: Detections, misfit_px: float) -> tuple[Float[ndarray, "views n"], ...] | None:
+    """What a corner's squared residual is on average, whitened, over the square of the noise; None if it is 2 for all.
+
+    It is less where :func:`corner_weights` counts more than the corner's own covariance.
+    """
+    if detections.left_cross_covariance_px2 is None and detections.right_cross_covariance_px2 is None:
+        return None
+    expected = []
+    floor2 = max(misfit_px, robust.SCALE_FLOOR_PX) ** 2
+    for side, is_seen in (("left", detections.left_is_seen), ("right", detections.right_is_seen)):
+        covariance, cross = _covariances(detections, side)
+        lengths2 = np.full(is_seen.shape, 2.0)
+        if covariance is not None and cross is not None:
+            # 2 - trace(inverse(total) cross), total being the sum of both and the misfit
+            xx, xy, yy = (covariance[..., i, j] + cross[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+            xx, yy = xx + floor2, yy + floor2
+            extra = cross[..., 0, 0] * yy - 2 * cross[..., 0, 1] * xy + cross[..., 1, 1] * xx
+            lengths2 -= np.nan_to_num(extra / (xx * yy - xy * xy))
+        expected.append(lengths2)
+    return tuple(expected)
+
+
+def _covariances(
+    detections: Detections, side: str
+) -> tuple[Float[ndarray, "views n 2 2"] | None, Float[ndarray, "views n 2 2"] | None]:
+    """A camera's covariances and cross-covariances, the latter 0 where they are not known of a corner."""
+    cross = getattr(detections, f"{side}_cross_covariance_px2")
+    return getattr(detections, f"{side}_covariance_px2"), None if cross is None else np.nan_to_num(cross)
 
 
 def inverse_root(covariance_px2: Float[ndarray, "views n 2 2"], misfit_px: float) -> Float[ndarray, "views 3 n"]:

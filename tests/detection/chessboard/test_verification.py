@@ -66,7 +66,8 @@ def test_corners_that_move_far_from_where_they_were_sought_are_not_them(whole, m
     step_px = np.linalg.norm(grid[0, 1] - grid[0, 0])
 
     def measure(grey, points_px, board_xy, reach_px):  # as a whole, the grid stays as regular as it was
-        return points_px + [shift * step_px, 0.0], np.broadcast_to(np.eye(2), (54, 2, 2))
+        unit = np.broadcast_to(np.eye(2), (54, 2, 2))
+        return points_px + [shift * step_px, 0.0], unit, 0 * unit
 
     monkeypatch.setattr(verification, "measure_corners", measure)
     monkeypatch.setattr(verification, "are_faint", lambda level, points, grid: np.zeros(54, bool))
@@ -78,10 +79,10 @@ def test_a_corner_off_the_smooth_grid_is_not_seen(whole, monkeypatch):
     honest, shifts = verification.measure_corners, iter([0.15 * np.linalg.norm(truth[1] - truth[0]), 0.0])
 
     def measure(grey, points_px, board_xy, reach_px):
-        points, covariance = honest(grey, points_px, board_xy, reach_px)
+        points, covariance, cross = honest(grey, points_px, board_xy, reach_px)
         points = points.copy()
         points[20] += next(shifts)
-        return points, covariance
+        return points, covariance, cross
 
     monkeypatch.setattr(verification, "are_faint", lambda level, points, grid: np.zeros(54, bool))
 

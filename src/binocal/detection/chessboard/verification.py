@@ -50,10 +50,11 @@ class BoardImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measured:
-    """Corners in the board's order, NaN where not seen, and their covariances."""
+    """Corners in the board's order, NaN where not seen, their covariances, and the sums of those with the others."""
 
     points_px: Float[ndarray, "n 2"]
     covariance_px2: Float[ndarray, "n 2 2"]
+    cross_covariance_px2: Float[ndarray, "n 2 2"]
 
     @property
     def is_seen(self) -> Bool[ndarray, "n"]:
@@ -75,8 +76,11 @@ def verify(shot: BoardImage, candidate: Candidate) -> FoundBoard:
     if n_seen < max(MIN_CORNERS, MIN_SHARE_SEEN * n):
         text = f"the corners do not lie on a smooth grid ({n_seen} of {n} do); too blurred or covered?"
         return not_found(n, text)
-    covariance = np.where(measured.is_seen[:, None, None], measured.covariance_px2, np.nan)
-    return FoundBoard(measured.points_px, covariance, note=_note(n_seen, n, rivals))
+    covariance, cross = (
+        np.where(measured.is_seen[:, None, None], of_all, np.nan)
+        for of_all in (measured.covariance_px2, measured.cross_covariance_px2)
+    )
+    return FoundBoard(measured.points_px, covariance, note=_note(n_seen, n, rivals), cross_covariance_px2=cross)
 
 
 def _find_contradiction(board: Board, candidate: Candidate, rivals: list[Lattice]) -> FoundBoard | None:
@@ -103,11 +107,11 @@ def _measure(shot: BoardImage, level: SearchLevel, grid: Float[ndarray, "rows co
     """The corners near those of a grid; those that moved far, are faint or lie off the smooth grid are not seen."""
     spacing = grid_spacing(grid).ravel()
     coarse = localize_saddles(shot.image, grid.reshape(-1, 2), spacing)
-    points, covariance = measure_corners(shot.grey, coarse, shot.board_xy, grid_reach(grid).ravel())
+    points, covariance, cross = measure_corners(shot.grey, coarse, shot.board_xy, grid_reach(grid).ravel())
     points = points.copy()
     points[np.linalg.norm(points - coarse, axis=1) > MAX_MOVE * spacing] = np.nan
     points[are_faint(level, points, grid)] = np.nan
-    return _Measured(_without_irregular(shot.board_xy, points, spacing, MIN_SHARE_SEEN), covariance)
+    return _Measured(_without_irregular(shot.board_xy, points, spacing, MIN_SHARE_SEEN), covariance, cross)
 
 
 def _without_irregular(
@@ -128,9 +132,10 @@ def _look_again(shot: BoardImage, level: SearchLevel, measured: _Measured, shape
     whole = np.where(seen[:, None], measured.points_px, expected).reshape(shape)
     spacing, reach = grid_spacing(whole).ravel(), grid_reach(whole).ravel()
     coarse = localize_saddles(shot.image, np.where(seen[:, None], np.nan, expected), spacing)
-    found, of_found = measure_corners(shot.grey, coarse, xy, reach)
+    found, of_found, cross_of_found = measure_corners(shot.grey, coarse, xy, reach)
     is_near = np.linalg.norm(found - expected, axis=1) < MAX_MOVE * spacing
     points = np.where(seen[:, None], measured.points_px, np.where(is_near[:, None], found, np.nan))
     covariance = np.where(seen[:, None, None], measured.covariance_px2, of_found)
+    cross = np.where(seen[:, None, None], measured.cross_covariance_px2, cross_of_found)
     points[are_faint(level, points, whole) & ~seen] = np.nan
-    return _Measured(_without_irregular(xy, points, spacing, MIN_SHARE_TO_LOOK_AGAIN), covariance)
+    return _Measured(_without_irregular(xy, points, spacing, MIN_SHARE_TO_LOOK_AGAIN), covariance, cross)

@@ -19,12 +19,16 @@ from binocal.shapes import Float
 class FittedCorners:
     """Corners and covariances, NaN where no saddle could be fitted.
 
+    ``cross_covariance_px2`` is the sum of a corner's covariances with the image's other corners: neighbours on one edge
+    share its pixels where squares are narrower than the discs are wide, 28 px.
+
     ``misfit`` is the variance of the residuals' odd part over the image's noise: 1 where the model holds.
     ``blur_px`` are the two edges' blurs (Gaussian sigma, pixel integration taken out), ``contrast_dn`` bright minus dark.
     """
 
     points_px: Float[ndarray, "n 2"]
     covariance_px2: Float[ndarray, "n 2 2"]
+    cross_covariance_px2: Float[ndarray, "n 2 2"]
     noise_dn: float
     misfit: Float[ndarray, "n"]
     blur_px: Float[ndarray, "n 2"]
@@ -53,5 +57,11 @@ def fit_corners(
     pooled = corner_fits.pool_corners(fits, board_xy)
     blur = np.sqrt(np.maximum(fits.blur_px**2 - 1 / 12, 0))
     return FittedCorners(
-        pooled.points_px, pooled.covariance_px2, pooled.noise_dn, pooled.misfit, blur, np.abs(fits.contrast_dn)
+        pooled.points_px,
+        pooled.covariance_px2,
+        pooled.cross_covariance_px2,
+        pooled.noise_dn,
+        pooled.misfit,
+        blur,
+        np.abs(fits.contrast_dn),
     )

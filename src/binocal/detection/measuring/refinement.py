@@ -27,8 +27,10 @@ def measure_corners(
     strip_px: Float[ndarray, "n"] | None = None,
     *,
     per_reach: float = WINDOW_PER_SPACING,
-) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2 2"]]:
-    """Corners and covariances by the maximum-likelihood fit, from starts within some pixels.
+) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2 2"], Float[ndarray, "n 2 2"]]:
+    """Corners, covariances and cross-covariances by the maximum-likelihood fit, from starts within some pixels.
+
+    The last are each corner's covariances with all others, summed (:class:`binocal.detection.measuring.corner_fit.FittedCorners`).
 
     See :func:`binocal.detection.measuring.corner_fit.fit_corners` for ``reach_px`` and ``strip_px``. Where no saddle can be fitted
     from the start it is tried again from cornerSubPix's corner, whose half-window is ``per_reach`` times the reach; where
@@ -38,17 +40,20 @@ def measure_corners(
     fitted = fit_corners(grey, points_px, reach_px, strip_px, board_xy=board_xy)
     is_open = ~np.isfinite(fitted.misfit) & np.isfinite(points_px[:, 0]) & np.isfinite(reach_px)
     if not is_open.any():
-        return fitted.points_px, fitted.covariance_px2
+        return fitted.points_px, fitted.covariance_px2, fitted.cross_covariance_px2
     rough = np.where(is_open[:, None], points_px, np.nan)
     again = refine_corners(grey, rough, reach_px, per_spacing=per_reach)
     start = np.where(np.isfinite(again), again, points_px)
     fitted = fit_corners(grey, start, reach_px, strip_px, board_xy=board_xy)
-    points, covariance = fitted.points_px.copy(), fitted.covariance_px2.copy()
+    points, covariance, cross = (
+        a.copy() for a in (fitted.points_px, fitted.covariance_px2, fitted.cross_covariance_px2)
+    )
     is_plain = np.isfinite(again[:, 0]) & ~np.isfinite(fitted.misfit)
     if is_plain.any():
         points[is_plain] = again[is_plain]
         covariance[is_plain] = corner_covariance(grey, again, reach_px, per_spacing=per_reach)[is_plain]
-    return points, covariance
+        cross[is_plain] = 0.0  # its window ends half way to the next corner
+    return points, covariance, cross
 
 
 def refine_corners(

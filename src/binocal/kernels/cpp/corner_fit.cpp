@@ -15,7 +15,7 @@ template <typename Pixel>
 void fit(const Image<Pixel>& image, const Doubles& inputs, DoublesOut results) {
     const std::size_t n = inputs.size() / kInputSize;
     if (inputs.size() != kInputSize * n || results.size() != kResultSize * n)
-        throw nb::value_error("inputs must be (n, 4) and results (n, 24)");
+        throw nb::value_error("inputs must be (n, 4) and results (n, 25)");
     const Pixel* pixels = image.data();
     const auto height = static_cast<std::ptrdiff_t>(image.shape(0)), width = static_cast<std::ptrdiff_t>(image.shape(1));
     nb::gil_scoped_release unlocked;
@@ -26,7 +26,7 @@ void fit(const Image<Pixel>& image, const Doubles& inputs, DoublesOut results) {
 double pool(const Doubles& fits, const Doubles& board_xy, DoublesOut pooled) {
     const std::size_t n = fits.size() / kResultSize;
     if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n || (board_xy.size() != 0 && board_xy.size() != 2 * n))
-        throw nb::value_error("fits must be (n, 24), board_xy (n, 2) or empty, and results (n, 7)");
+        throw nb::value_error("fits must be (n, 25), board_xy (n, 2) or empty, and results (n, 11)");
     nb::gil_scoped_release unlocked;
     return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n, board_xy.size() ? board_xy.data() : nullptr,
                         reinterpret_cast<PooledCorner*>(pooled.data()));
@@ -49,8 +49,10 @@ nb::dict record_layouts() {
     fit["radius_px"] = offsetof(CornerResult, radius);
     fit["n_pixels"] = offsetof(CornerResult, n_pixels);
     fit["n_evaluations"] = offsetof(CornerResult, n_evaluations);
+    fit["long_variance"] = offsetof(CornerResult, long_variance);
     pooled["point_px"] = offsetof(PooledCorner, x);
     pooled["covariance_px2"] = offsetof(PooledCorner, covariance);
+    pooled["cross_covariance_px2"] = offsetof(PooledCorner, cross);
     pooled["misfit"] = offsetof(PooledCorner, misfit);
     layouts["CORNER_INPUT"] = nb::make_tuple(sizeof(CornerInput), input);
     layouts["CORNER_FIT"] = nb::make_tuple(sizeof(CornerResult), fit);

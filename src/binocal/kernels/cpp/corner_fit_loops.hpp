@@ -220,3 +220,44 @@ inline void multiply(const Workspace& work, Equations& out) {
     out.weight_sum = sum_of(total);
 }
 
+// What each pixel's residual moves the corner by in two directions, and the sums of squares of what a grey level does.
+inline void moves(Workspace& work, const float (&step)[2][kParameters], float (&squares)[2]) {
+    Lane sum[2] = {splat(0.0f), splat(0.0f)};
+    for (int i = 0; i < work.patch.n_vectors; ++i) {
+        const int at = i * kLanes;
+        Lane gain[2] = {splat(0.0f), splat(0.0f)};
+        for (int j = 0; j < kParameters; ++j) {
+            Lane column = load(work.columns[j] + at);
+            for (int k : {0, 1}) gain[k] = gain[k] + splat(step[k][j]) * column;
+        }
+        Lane weight = load(work.weights + at), residual = load(work.columns[kParameters] + at);
+        for (int k : {0, 1}) {
+            sum[k] = sum[k] + gain[k] * gain[k] * weight;
+            store(work.moves[k] + at, gain[k] * residual);
+        }
+    }
+    for (int k : {0, 1}) squares[k] = sum_of(sum[k]);
+}
+
+// Sum of the products of all pairs of pixels at most kNear apart in x and in y, each pixel with itself too, and with those near
+// the point opposite it (whole pixels twice the corner's place).
+inline float near_products(const Workspace& work, const float* values, int twice_x, int twice_y) {
+    constexpr int middle = kMaxRadius + 1 + kNear, width = (kSide + 2 * kNear + kLanes - 1) / kLanes * kLanes;
+    static_assert(kNear == 2);  // five lines are added by name
+    alignas(32) float one[kSide + 2 * kNear][width] = {}, grid[kSide + 2 * kNear][width] = {}, sums[width + 2 * kNear] = {}, total[width] = {};
+    const Patch& patch = work.patch;
+    for (int i = 0; i < patch.n; ++i) {
+        const int u = static_cast<int>(patch.u[i]), v = static_cast<int>(patch.v[i]);
+        one[middle + v][middle + u] = values[i];
+        grid[middle + v][middle + u] += values[i];
+        grid[middle + twice_y - v][middle + twice_x - u] += values[i];
+    }
+    const int reach = std::min(kMaxRadius + 1, static_cast<int>(patch.radius) + 2);
+    for (int y = middle - reach; y <= middle + reach; ++y) {
+        for (int x = 0; x < width; ++x) sums[x + kNear] = grid[y - 2][x] + grid[y - 1][x] + grid[y][x] + grid[y + 1][x] + grid[y + 2][x];
+        for (int x = 0; x < width; ++x) total[x] += (sums[x] + sums[x + 1] + sums[x + 2] + sums[x + 3] + sums[x + 4]) * one[y][x];
+    }
+    float sum = 0;
+    for (float value : total) sum += value;
+    return sum;
+}
