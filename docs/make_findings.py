@@ -159,6 +159,12 @@ EXPLANATIONS = {
         it can be separated from the cameras, and binocal estimates every point of the board along with the rig. The note comes
         where bow or stretch exceed three of their standard deviations and move corners by more than half of the noise. Only
         the scale of the print remains unknown: over all of its points it is taken for that of the drawing.""",
+    "corners-lock-to-pixels": """
+        In images that were made smaller without smoothing, enlarged, or read from every other pixel, an edge is measured at a
+        place that depends on where it lies between the pixels. The error repeats with the pixels, or with those of the image
+        before it was enlarged (2, 3 or 4 of today's). It is alike in all views, so that the residuals show it; a few
+        harmonics of each camera's axes were fitted to them and taken from the corners before the solve went on. The curve
+        stands in the provenance (`pixel_locking`). What it cannot mend is the sharpness that the images have lost.""",
     "model-choice-weak": """
         Camera models are compared by the rows and lengths of views that were held out. With fewer than six views nothing can
         be held out, and the Bayesian information criterion decides.""",

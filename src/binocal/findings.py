@@ -321,6 +321,12 @@ _KINDS = (
         "{camera} corner {corner} of view {view}, {distance_px:.1f} px off.", "",
     ),
     FindingKind(
+        "corners-lock-to-pixels", _W, "Corners are drawn to places between the pixels",
+        "{camera} corners lock to the pixels: an error of up to {amplitude_px:.2f} px repeats every {period_px:g} px "
+        "({share_percent:.0f} % of the residuals' variance) and was taken out; {remedy}.",
+        "calibrate with images of the camera's own resolution, not resized or enlarged",
+    ),
+    FindingKind(
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",
         "camera model: {reason}.", "",
     ),

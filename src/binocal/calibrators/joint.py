@@ -31,6 +31,7 @@ from binocal.solvers import robust
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.covariance import inliers
 from binocal.solvers.minimization import RESUMED_DAMPING, START_DAMPING, LoopOptions, minimize
+from binocal.solvers.pixel_locking import RigLocking, locking_at
 from binocal.solvers.polish import polish_exact
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
@@ -38,6 +39,7 @@ CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few 
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
 EXACT_SCALES = 1.5  # of the floor of the kernel's scale: corners without noise
 MISFIT_ROUNDS = 3  # the second usually finds nothing to change
+LOCKING_ROUNDS = 2  # found, and fitted once more to what is left without it
 MISFIT_SHARE = 0.1  # of the noise variance; less changes the weights by too little to matter
 
 
@@ -72,6 +74,8 @@ class NominalSolve:
     rejected: tuple[RejectedView, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    locking: RigLocking = field(default_factory=RigLocking)
+    """What was taken from the corners of ``problem``; ``views`` still have it."""
 
 
 def calibrate_jointly(
@@ -104,6 +108,7 @@ def calibrate_jointly(
         n_iterations=nominal.n_iterations,
         misfit_px=nominal.misfit_px,
     )
+    calibration = _with_locking(calibration, nominal.locking)
     try:
         accepted = acceptance.apply_rules(calibration, is_converged=bool(solve.minimum.is_converged))
     except CalibrationError as error:
@@ -131,7 +136,7 @@ def solve_diagnosed(
             raise TooFewViewsError(len(used), MIN_VIEWS, {r.name: r.reason for r in rejected})
         views = diagnosis.detections.select(used)
         start = _start(diagnosis, used) if start is None else start
-        problem, minimum, misfit_px, n = solve_with_misfit(views, request, start, partial(_solve, minimizer))
+        problem, minimum, misfit_px, n, locking = solve_unlocked(views, request, start, partial(_solve, minimizer))
         n_iterations += n
         doubts = _check_prior(views, request, _start(diagnosis, used), (problem, minimum))
         bad = _contradicting(views, problem, minimum) if minimum.is_converged else {}
@@ -142,8 +147,8 @@ def solve_diagnosed(
         start = replace(minimum.estimate, T_left_board=minimum.estimate.T_left_board[keep])
         used = used[keep]
     notes = dict(zip(detections.names, diagnosis.notes, strict=True))
-    findings = (*doubts, *diagnosis.findings)
-    return NominalSolve(views, problem, minimum, misfit_px, n_iterations, rejected, notes, findings)
+    findings = (*doubts, *diagnosis.findings, *locking.findings())
+    return NominalSolve(views, problem, minimum, misfit_px, n_iterations, rejected, notes, findings, locking)
 
 
 def solve_clean(
@@ -163,14 +168,16 @@ def solve_clean(
         SE3.unchecked(start.R_left_board, start.t_left_board),
         SE3.unchecked(start.R_right_left, start.t_right_left),
     )
-    problem, minimum, misfit_px, n_iterations = solve_with_misfit(
+    problem, minimum, misfit_px, n_iterations, locking = solve_unlocked(
         detections, request, estimate, partial(_solve_clean, minimizer)
     )
     if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
         return None
     if _check_prior(detections, request, estimate, (problem, minimum)):
         return None
-    return NominalSolve(detections, problem, polish_exact(problem, minimum), misfit_px, n_iterations)
+    return NominalSolve(
+        detections, problem, polish_exact(problem, minimum), misfit_px, n_iterations, findings=locking.findings(), locking=locking
+    )
 
 
 def solve_as_they_were(problem: BundleProblem, minimum: BundleMinimum, request: CalibrationRequest) -> RealViewsSolve:
@@ -214,10 +221,11 @@ def _calibrate_clean(
             request,
             rejected=(),
             notes={},
-            findings=(),
+            findings=nominal.findings,
             n_iterations=nominal.n_iterations,
             misfit_px=nominal.misfit_px,
         )
+        calibration = _with_locking(calibration, nominal.locking)
     except CalibrationError:
         return None
     # The rules about the fit ask for less than the proof does.
@@ -263,6 +271,35 @@ def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:
         SE3(diagnosis.R_left_board[used], diagnosis.t_left_board[used]),
         diagnosis.T_right_left,
     )
+
+
+def _with_locking(calibration: StereoCalibration, locking: RigLocking) -> StereoCalibration:
+    """The calibration with the curve that was taken from its corners in the provenance."""
+    if not locking.is_found:
+        return calibration
+    return replace(calibration, provenance={**calibration.provenance, "pixel_locking": locking.document()})
+
+
+def solve_unlocked(
+    views: Detections,
+    request: CalibrationRequest,
+    start: BundleEstimate,
+    solve: Callable[..., tuple[BundleMinimum, int]],
+) -> tuple[BundleProblem, BundleMinimum, float, int, RigLocking]:
+    """As :func:`solve_with_misfit`, from corners without their pixel locking, which is returned too.
+
+    It is fitted to the residuals of the first minimum and once more to those of the minimum without it.
+    """
+    problem, minimum, misfit_px, n_iterations = solve_with_misfit(views, request, start, solve)
+    locking = RigLocking()
+    for _ in range(LOCKING_ROUNDS):
+        found = locking_at(problem, minimum, views) if minimum.is_converged else RigLocking()
+        if not found.is_found:
+            break
+        locking = found
+        problem, minimum, misfit_px, n = solve_with_misfit(locking.corrected(views), request, minimum.estimate, solve)
+        n_iterations += n
+    return problem, minimum, misfit_px, n_iterations, locking
 
 
 def solve_with_misfit(
