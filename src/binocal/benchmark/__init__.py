@@ -24,6 +24,12 @@ def _corners(**options: Any) -> dict[str, Any]:
     return run_corners_benchmark(**options)
 
 
+def _coverage(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.coverage import run_coverage_benchmark
+
+    return run_coverage_benchmark(**options)
+
+
 def _detection(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.detection import run_detection_benchmark
 
@@ -69,6 +75,7 @@ def _training(**options: Any) -> dict[str, Any]:
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "agent": _agent,
     "corners": _corners,
+    "coverage": _coverage,
     "detection": _detection,
     "pipeline": _pipeline,
     "precision": _precision,
