@@ -83,7 +83,11 @@ struct alignas(32) Patch {
     float u[kMaxPixels], v[kMaxPixels];  // whole pixels from `column`, `row`
     float value[kMaxPixels];             // in units of the start's contrast
     int column, row;
-    int n, n_vectors;
+    int n_vectors;
+    int n_rows;
+    struct {
+        int u, v, first, n;  // leftmost pixel, where it stands in the arrays, and how many follow
+    } rows[kSide];
     double x, y, radius;  // what was gathered
 };
 
@@ -97,7 +101,7 @@ struct Equations {
 };
 
 constexpr int kNear = 2;                  // px: noise further apart counts as independent
-constexpr std::ptrdiff_t kCornersForNoise = 60;  // of an image, evenly chosen, are looked at for that: it costs a fifth of a fit
+constexpr std::ptrdiff_t kCornersForNoise = 60;  // of an image, evenly chosen, are looked at for that: it costs a sixth of a fit
 constexpr double kNearShare = 0.98, kNearLoss_px = 3.9;  // what the fit leaves of it in a disc: measured, see long_variance
 constexpr double kLeastNearRadius = 8.0;  // px: in a smaller disc the fit itself takes most of such noise away
 
@@ -120,18 +124,19 @@ void gather(const Pixel* image, std::ptrdiff_t width, double x, double y, double
     const double limit = radius + 0.5 + kSlack;
     const float gain = static_cast<float>(scale);
     int n = 0;
+    patch.n_rows = 0;
     for (int row = static_cast<int>(std::ceil(y - limit)); row <= y + limit; ++row) {
         double half = std::sqrt(std::max(0.0, limit * limit - (row - y) * (row - y)));
         int first = static_cast<int>(std::ceil(x - half)), last = static_cast<int>(std::floor(x + half));
         const Pixel* line = image + row * width;
         float v = static_cast<float>(row - patch.row);
+        patch.rows[patch.n_rows++] = {first - patch.column, row - patch.row, n, last - first + 1};
         for (int column = first; column <= last; ++column, ++n) {
             patch.u[n] = static_cast<float>(column - patch.column);
             patch.v[n] = v;
             patch.value[n] = static_cast<float>(line[column]) * gain;
         }
     }
-    patch.n = n;
     while (n % kLanes) {
         patch.u[n] = patch.v[n] = 1000.0f;  // outside every disc
         patch.value[n] = 0.0f;

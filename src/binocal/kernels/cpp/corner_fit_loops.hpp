@@ -246,11 +246,14 @@ inline float near_products(const Workspace& work, const float* values, int twice
     static_assert(kNear == 2);  // five lines are added by name
     alignas(32) float one[kSide + 2 * kNear][width] = {}, grid[kSide + 2 * kNear][width] = {}, sums[width + 2 * kNear] = {}, total[width] = {};
     const Patch& patch = work.patch;
-    for (int i = 0; i < patch.n; ++i) {
-        const int u = static_cast<int>(patch.u[i]), v = static_cast<int>(patch.v[i]);
-        one[middle + v][middle + u] = values[i];
-        grid[middle + v][middle + u] += values[i];
-        grid[middle + twice_y - v][middle + twice_x - u] += values[i];
+    for (int row = 0; row < patch.n_rows; ++row) {
+        const auto& r = patch.rows[row];
+        const float* from = values + r.first;
+        float *own = one[middle + r.v] + middle + r.u, *here = grid[middle + r.v] + middle + r.u;
+        float* opposite = grid[middle + twice_y - r.v] + middle + twice_x - r.u;
+        for (int i = 0; i < r.n; ++i) own[i] = from[i];
+        for (int i = 0; i < r.n; ++i) here[i] += from[i];
+        for (int i = 0; i < r.n; ++i) opposite[-i] += from[i];
     }
     const int reach = std::min(kMaxRadius + 1, static_cast<int>(patch.radius) + 2);
     for (int y = middle - reach; y <= middle + reach; ++y) {
