@@ -176,7 +176,13 @@ def solve_clean(
     if _check_prior(detections, request, estimate, (problem, minimum)):
         return None
     return NominalSolve(
-        detections, problem, polish_exact(problem, minimum), misfit_px, n_iterations, findings=locking.findings(), locking=locking
+        detections,
+        problem,
+        polish_exact(problem, minimum),
+        misfit_px,
+        n_iterations,
+        findings=locking.findings(),
+        locking=locking,
     )
 
 

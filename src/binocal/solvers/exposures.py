@@ -99,10 +99,10 @@ def squares(equations: RealViewsEquations) -> float:
     return residuals + 2 * float(equations.scale_px) ** 2 * float(equations.prior_energy)
 
 
-def count_coordinates(problem: RealViewsProblem, equations: RealViewsEquations) -> int:
-    """Corner coordinates that carry weight under Hampel's kernel."""
-    return 2 * sum(
-        int((c.is_seen & robust.carries_weight(r2, equations.scale_px, "hampel")).sum())
+def count_coordinates(problem: RealViewsProblem, equations: RealViewsEquations) -> float:
+    """Corner coordinates that carry weight under Hampel's kernel, pixels that corners share counted once."""
+    return sum(
+        c.n_coordinates(c.is_seen & robust.carries_weight(r2, equations.scale_px, "hampel"))
         for c, r2 in zip(problem.cameras, equations.r2_px2, strict=True)
     )
 
