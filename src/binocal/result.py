@@ -13,6 +13,7 @@ from numpy import ndarray
 from binocal.cameras import StereoRig
 from binocal.errors import DataError
 from binocal.evidence import Detections
+from binocal.evidence.pixel_locking import RigLocking
 from binocal.findings import Finding, Severity
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
@@ -278,9 +279,14 @@ class StereoCalibration:
             for side in ("left", "right")
         }
         used = used.reorder("left", orders["left"]).reorder("right", orders["right"])
-        self._check_residuals(used)
+        self._check_residuals(self._unlocked(used))
         evidence = Evidence(used, self.T_left_board, self.misfit_px or 0.0, self.board_shape, self.T_right_board)
         return replace(self, evidence=evidence)
+
+    def _unlocked(self, detections: Detections) -> Detections:
+        """The detections as the solve took them: without their locking to the pixel grid, where some was found."""
+        found = self.provenance.get("pixel_locking")
+        return detections if not found else RigLocking.of_document(found).corrected(detections)
 
     def _used_views(self, detections: Detections) -> Detections:
         """The used views of detections that fit the rig's images and units."""

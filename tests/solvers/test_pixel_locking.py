@@ -7,8 +7,9 @@ import pytest
 
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
+from binocal.evidence.pixel_locking import PixelLocking, RigLocking
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
-from binocal.solvers.pixel_locking import PixelLocking, RigLocking, find_pixel_locking
+from binocal.solvers.pixel_locking import find_pixel_locking
 
 BOARD = parse_board("chessboard:11x8:20mm")
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
-from binocal.set_checks.pair_motion import PairMotion, measure_freed_motion, measure_pair_motion
+from binocal.set_checks.pair_motion import LEAST_T, PairMotion, measure_freed_motion, measure_pair_motion
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
 from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, doubt_flatness, estimate_variances
@@ -49,7 +49,6 @@ FINE = LoopOptions(tolerance_sigma=0.3, max_iterations=3, initial_damping=RESUME
 SCREENED_VIEWS = 24  # for a first look
 LINEAR_SHARE = 0.1  # of the pair's noise that the cameras leave alone: below, the linear look is not to be believed
 OPENED = 3.0  # times the kernel's scale, for the comparison of the cameras
-DOUBTED_SIGMAS = 1.5  # of the relative poses' excess: above, it is worth a closer look
 MIN_POINTS = 9  # fewer are determined by their poses and the lens
 MIN_VIEWS_TO_FREE = 4
 MIN_FREEDOM_SHARE = 0.25  # of the measurements: what must be left once every point is free
@@ -120,8 +119,8 @@ def _with_pair_compared(solve: RealViewsSolve) -> RealViewsSolve:
     equations = problem.linearize(estimate, OPENED * solve.minimum.scale_px, "hampel")
     pair = compare_with_cameras_alone(problem, estimate, equations, solve.noise_px)
     motion = None
-    if pair.excess > 1 + DOUBTED_SIGMAS * pair.excess_sigma:
-        motion = measure_pair_motion(problem, estimate, equations, solve.noise_px)
+    if pair.excess > LEAST_T:  # T is never larger
+        motion = measure_pair_motion(problem, estimate, equations, pair)
     return replace(solve, pair=pair, motion=motion)
 
 

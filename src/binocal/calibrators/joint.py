@@ -21,6 +21,7 @@ from binocal.calibrators.set_checking import checked_as_a_whole, without_copies
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
+from binocal.evidence.pixel_locking import RigLocking
 from binocal.findings import Finding, refusal
 from binocal.geometry import SE3
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
@@ -31,7 +32,7 @@ from binocal.solvers import robust
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.covariance import inliers
 from binocal.solvers.minimization import RESUMED_DAMPING, START_DAMPING, LoopOptions, minimize
-from binocal.solvers.pixel_locking import RigLocking, locking_at
+from binocal.solvers.pixel_locking import locking_at, locking_findings
 from binocal.solvers.polish import polish_exact
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
@@ -147,7 +148,7 @@ def solve_diagnosed(
         start = replace(minimum.estimate, T_left_board=minimum.estimate.T_left_board[keep])
         used = used[keep]
     notes = dict(zip(detections.names, diagnosis.notes, strict=True))
-    findings = (*doubts, *diagnosis.findings, *locking.findings())
+    findings = (*doubts, *diagnosis.findings, *locking_findings(locking))
     return NominalSolve(views, problem, minimum, misfit_px, n_iterations, rejected, notes, findings, locking)
 
 
@@ -181,7 +182,7 @@ def solve_clean(
         polish_exact(problem, minimum),
         misfit_px,
         n_iterations,
-        findings=locking.findings(),
+        findings=locking_findings(locking),
         locking=locking,
     )
 

@@ -19,7 +19,7 @@ from binocal.kernels import unweighted_columns
 from binocal.shapes import Float, Int
 from binocal.solvers import robust
 from binocal.solvers.board_views import adjoint
-from binocal.solvers.exposures import compare_with_cameras_alone
+from binocal.solvers.exposures import PairFit, compare_with_cameras_alone
 from binocal.solvers.joint_system import solve_symmetric
 from binocal.solvers.real_views import RealViewsEquations, RealViewsEstimate, RealViewsProblem
 
@@ -130,27 +130,27 @@ def measure_freed_motion(
         prior_energy=held.prior_energy(start),
     )
     reference = smooth_residuals(problem, estimate, equations, noise_px)
-    return measure_pair_motion(held, start, together, noise_px, reference=reference)
+    pair = compare_with_cameras_alone(held, start, together, noise_px)
+    return measure_pair_motion(held, start, together, pair, reference=reference)
 
 
 def measure_pair_motion(
     problem: RealViewsProblem,
     estimate: RealViewsEstimate,
     equations: RealViewsEquations,
-    noise_px: float,
+    pair: PairFit,
     *,
     reference: float | None = None,
 ) -> PairMotion | None:
     """The statistics of a solved set whose exposures are held together; None where the views are too few, or a part of the rig is held.
 
-    The board's points count as they are in the estimate. ``noise_px`` weighs priors; ``reference`` is measured unless given.
+    The board's points count as they are in the estimate. ``pair`` is their comparison; ``reference`` is measured unless given.
     """
     seen = np.stack([e.gram[:, -2, -2] > 0 for e in equations.cameras])
     both = np.flatnonzero(seen.all(axis=0))
     nominal = problem.nominal
     if len(both) < MIN_VIEWS or nominal.held_part is not None or not nominal.is_rig_free:
         return None
-    pair = compare_with_cameras_alone(problem, estimate, equations, noise_px)
     if not pair.alone_px > 0 or not np.isfinite(pair.excess_sigma):
         return None
     if reference is None:

@@ -8,20 +8,18 @@ particle images are known for the same ("peak locking": Westerweel 1997, "Fundam
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.evidence import Detections
+from binocal.evidence.pixel_locking import PixelLocking, RigLocking
 from binocal.findings import Finding, finding
 from binocal.geometry import SE3
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
 from binocal.solvers.board_views import BundleMinimum, BundleProblem, CameraObservations
-from binocal.values import ArrayValue, frozen_array
 
 _TWELFTHS = (3, 4, 6, 8, 9, 12, 15, 18, 21, 24)
 _FUNDAMENTAL = (3, 4, 6, 12)
@@ -38,77 +36,6 @@ LEAST_CORNERS = 100  # of one camera
 LOOKED_AT_FIRST = 400  # corners; more are fitted where these leave it open, which costs as much as a solve
 LEAST_SHARE_AT_FIRST = 0.03  # of the four fundamental frequencies together, in those; by chance 0 +- 0.012
 FITTED = 5000  # corners: they give a harmonic to a fiftieth of the noise
-_PHASES = 256  # at which a pixel is sampled for the amplitude
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PixelLocking(ArrayValue):
-    """How one camera's measured corners depend on their place between the pixels.
-
-    The error of the coordinate u of an axis (x, then y) is the sum over frequencies f (cycles per pixel) of
-    ``cosines_px`` cos(2 pi f u) + ``sines_px`` sin(2 pi f u); both are 0 where a frequency is not significant on that axis.
-    ``variance_share`` is the share of each axis's residual variance that the curve explains.
-    """
-
-    frequencies_per_px: Float[ndarray, "k"]
-    cosines_px: Float[ndarray, "2 k"]
-    sines_px: Float[ndarray, "2 k"]
-    variance_share: Float[ndarray, "2"]
-
-    def __post_init__(self) -> None:
-        for name in ("frequencies_per_px", "cosines_px", "sines_px", "variance_share"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
-        shape = (2, len(self.frequencies_per_px))
-        if self.cosines_px.shape != shape or self.sines_px.shape != shape or self.variance_share.shape != (2,):
-            raise ValueError(
-                f"{shape[1]} frequencies need cosines and sines {shape} and shares (2,); got {self.cosines_px.shape}, "
-                f"{self.sines_px.shape}, {self.variance_share.shape}"
-            )
-
-    @property
-    def amplitude_px(self) -> Float[ndarray, "2"]:
-        """Half of the distance between each axis's largest and least error."""
-        longest = 12.0  # px: the common period of all frequencies
-        u = np.repeat(longest * np.arange(12 * _PHASES)[:, None] / (12 * _PHASES), 2, axis=1)
-        return 0.5 * np.ptp(self.errors_px(u), axis=0)
-
-    @property
-    def period_px(self) -> Float[ndarray, "2"]:
-        """Each axis's strongest period; NaN where nothing is significant."""
-        power = self.cosines_px**2 + self.sines_px**2
-        strongest = self.frequencies_per_px[power.argmax(axis=1)]
-        return np.where(power.any(axis=1), 1 / strongest, np.nan)
-
-    def errors_px(self, points_px: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-        """The curve at measured corners; NaN where they are."""
-        phase = 2 * np.pi * points_px[..., None] * self.frequencies_per_px
-        return np.sum(self.cosines_px * np.cos(phase) + self.sines_px * np.sin(phase), axis=-1)
-
-    def corrected(self, points_px: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-        """Measured corners of this camera without the error: of the set that it was found in, or of another."""
-        return points_px - self.errors_px(points_px)
-
-    def document(self) -> dict[str, Any]:
-        """Plain data, as ``rig.json`` may hold it; :meth:`of_document` reads it."""
-        return {
-            "frequencies_per_px": self.frequencies_per_px.tolist(),
-            "cosines_px": self.cosines_px.tolist(),
-            "sines_px": self.sines_px.tolist(),
-            "variance_share": self.variance_share.tolist(),
-        }
-
-    @staticmethod
-    def of_document(document: Mapping[str, Any]) -> PixelLocking:
-        """The value that :meth:`document` wrote.
-
-        Raises:
-            ValueError: A number is missing or of another shape.
-        """
-        names = ("frequencies_per_px", "cosines_px", "sines_px", "variance_share")
-        missing = [name for name in names if name not in document]
-        if missing:
-            raise ValueError(f"pixel locking without {', '.join(missing)}")
-        return PixelLocking(*(np.asarray(document[name], dtype=float) for name in names))
 
 
 def find_pixel_locking(
@@ -136,58 +63,22 @@ def find_pixel_locking(
     return PixelLocking(np.array(FREQUENCIES_PER_PX), cosines, sines, shares) if shares.any() else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RigLocking:
-    """The pixel locking of both cameras; None of one whose corners do not lock."""
-
-    left: PixelLocking | None = None
-    right: PixelLocking | None = None
-
-    @property
-    def is_found(self) -> bool:
-        """Whether either camera's corners lock."""
-        return self.left is not None or self.right is not None
-
-    def corrected(self, detections: Detections) -> Detections:
-        """The detections without the error: those that it was found in, or others of the same cameras and detector."""
-        return replace(
-            detections,
-            left_px=detections.left_px if self.left is None else self.left.corrected(detections.left_px),
-            right_px=detections.right_px if self.right is None else self.right.corrected(detections.right_px),
-        )
-
-    def findings(self) -> tuple[Finding, ...]:
-        """What there is to say of it, of each camera."""
-        found = []
-        for camera, locking in (("left", self.left), ("right", self.right)):
-            if locking is not None:
-                axis = int(locking.variance_share.argmax())
-                found.append(
-                    finding(
-                        "corners-lock-to-pixels",
-                        camera=camera,
-                        amplitude_px=float(locking.amplitude_px.max()),
-                        period_px=float(locking.period_px[axis]),
-                        share_percent=100 * float(locking.variance_share[axis]),
-                    )
+def locking_findings(locking: RigLocking) -> tuple[Finding, ...]:
+    """What there is to say of it, of each camera."""
+    found = []
+    for camera, curve in (("left", locking.left), ("right", locking.right)):
+        if curve is not None:
+            axis = int(curve.variance_share.argmax())
+            found.append(
+                finding(
+                    "corners-lock-to-pixels",
+                    camera=camera,
+                    amplitude_px=float(curve.amplitude_px.max()),
+                    period_px=float(curve.period_px[axis]),
+                    share_percent=100 * float(curve.variance_share[axis]),
                 )
-        return tuple(found)
-
-    def document(self) -> dict[str, Any]:
-        """Plain data: ``left`` and ``right`` where they are."""
-        sides = (("left", self.left), ("right", self.right))
-        return {side: locking.document() for side, locking in sides if locking is not None}
-
-    @staticmethod
-    def of_document(document: Mapping[str, Any]) -> RigLocking:
-        """The value that :meth:`document` wrote.
-
-        Raises:
-            ValueError: A number is missing or of another shape.
-        """
-        return RigLocking(
-            *(PixelLocking.of_document(document[side]) if side in document else None for side in ("left", "right"))
-        )
+            )
+    return tuple(found)
 
 
 def locking_at(problem: BundleProblem, minimum: BundleMinimum, detections: Detections) -> RigLocking:
