@@ -151,6 +151,9 @@ EXPLANATIONS = {
         Exact copies of an image add no information, but would make all standard deviations smaller. They are counted once.""",
     "few-different-poses": """
         Views that show the board in the same place to within the noise say little more than one of them.""",
+    "scale-doubtful": """
+        Boards are made with squares of a millimetre to half a metre. Images look the same whatever the size; only the
+        plausibility of the number can be checked.""",
     "aprilgrid-gap-wrong": """
         Kalibr's files and many printed boards differ in what they call the spacing of the tags. The board's points are estimated
         along with the rig; where their pattern is that of another gap, the sentence gives the gap that fits.""",

@@ -311,6 +311,12 @@ _KINDS = (
         "add views with the board elsewhere and tilted otherwise",
     ),
     FindingKind(
+        "scale-doubtful", _W, "The board's points are implausibly far apart, or near",
+        "the board's points lie {pitch_m:g} m apart, as if millimetres had been given for metres or the other way round: no image tells "
+        "a board's size, and all lengths of the result scale with it; {remedy}.",
+        "give lengths in metres, or a SPEC with a unit (30mm)",
+    ),
+    FindingKind(
         "aprilgrid-gap-wrong", _W, "The gap between the tags of an AprilGrid is not as given",
         "the board's tags stand {found:.3f} of their size apart, not {given:.3f} as given; {remedy}.",
         "give the gap that was found as the last part of the board's SPEC",

@@ -177,6 +177,14 @@ def test_left_lists_shifted_by_a_column_or_row_are_refused(step):
         calibrate(replace(detections, left_px=left), model="brown4")
 
 
+@pytest.mark.parametrize("factor", [1000.0, 1e-3])
+def test_millimetres_for_metres_are_doubted(factor):
+    detections = Recording(10).corners()
+    scaled = replace(detections, object_points_m=factor * detections.object_points_m)
+    assert codes(calibrate(scaled, model="brown4")) == {"scale-doubtful"}
+    assert codes(calibrate(replace(scaled, is_metric=False), model="brown4")) == set()
+
+
 def test_first_of_copies_and_different_poses():
     detections = Recording(9, n_views=5).corners().select(np.array([0, 1, 0, 2, 1]))
     assert first_of_copies(detections).tolist() == [0, 1, 0, 3, 1]

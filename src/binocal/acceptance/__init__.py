@@ -14,6 +14,7 @@ from binocal.acceptance.whole_set import (
     gap_findings,
     gross_motion,
     left_out_findings,
+    scale_findings,
     weight_findings,
 )
 
@@ -34,5 +35,6 @@ __all__ = [
     "gross_motion",
     "is_beyond_doubt",
     "left_out_findings",
+    "scale_findings",
     "weight_findings",
 ]

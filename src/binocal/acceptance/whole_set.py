@@ -14,6 +14,7 @@ from binocal.findings import Finding, finding
 from binocal.result import BoardShape, ExposureFit, RejectedView
 from binocal.set_checks.pair_motion import Change, PairMotion
 from binocal.shapes import Float
+from binocal.solvers.board_shape import pitch_of
 
 APART_T = 12.0  # of the relative poses' excess: between grey real sets (below 9) and those not triggered together (11.6 and more)
 CLEARLY_APART_T, CLEARLY_APART_RATIO = (
@@ -29,6 +30,7 @@ LEFT_OUT_SHARE = 0.5  # of the given views: a majority must be used
 MAX_NAMES = 6
 NO_SUSPECTS = ("view-without-corners", "view-copied", "view-on-a-line", "view-at-one-point")
 """Reasons for which a view is left out that say nothing of the rig."""
+LEAST_PITCH_M, LARGEST_PITCH_M = 0.3e-3, 1.0  # of neighbouring points: targets of microscopes and of rooms
 GAP_SHARE = 0.7  # of the offsets' squares, for a gap to be what is wrong
 GAP_SIGMAS = 5.0
 
@@ -114,6 +116,16 @@ def weight_findings(
     if weight >= LEAST_WEIGHT and n_shared >= LEAST_VIEWS and n_used >= LEFT_OUT_SHARE * n_given:
         return ()
     return (finding("rests-on-few-views", weight=weight, n_used=n_used, n_given=n_given, n_shared=n_shared),)
+
+
+def scale_findings(detections: Detections) -> tuple[Finding, ...]:
+    """A board whose size in metres no board has."""
+    if not detections.is_metric:
+        return ()
+    pitch_m = pitch_of(np.ascontiguousarray(detections.object_points_m.T))
+    if LEAST_PITCH_M <= pitch_m <= LARGEST_PITCH_M:
+        return ()
+    return (finding("scale-doubtful", pitch_m=pitch_m),)
 
 
 def gap_findings(detections: Detections, shape: BoardShape | None) -> tuple[Finding, ...]:

@@ -66,6 +66,7 @@ def checked_as_a_whole(
     n_given = given.n_views - len(copies)
     found += acceptance.weight_findings(solve.reduced.view_information, n_rig, views, n_given)
     found += acceptance.gap_findings(views, calibration.board_shape)
+    found += acceptance.scale_findings(views)
     n_poses = int(different_poses(views, SAME_POSE_SIGMAS * solve.noise_px).sum())
     if n_poses <= FEW_POSES_SHARE * views.n_views:
         found.append(finding("few-different-poses", n_given=views.n_views, n_poses=n_poses))
