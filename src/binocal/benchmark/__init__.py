@@ -36,6 +36,12 @@ def _detection(**options: Any) -> dict[str, Any]:
     return run_detection_benchmark(**options)
 
 
+def _faults(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.faults import run_faults_benchmark
+
+    return run_faults_benchmark(**options)
+
+
 def _pipeline(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.pipeline import run_pipeline_benchmark
 
@@ -77,6 +83,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "corners": _corners,
     "coverage": _coverage,
     "detection": _detection,
+    "faults": _faults,
     "pipeline": _pipeline,
     "precision": _precision,
     "real": _real,
