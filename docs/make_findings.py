@@ -151,6 +151,11 @@ EXPLANATIONS = {
         Exact copies of an image add no information, but would make all standard deviations smaller. They are counted once.""",
     "few-different-poses": """
         Views that show the board in the same place to within the noise say little more than one of them.""",
+    "board-scale-uncertain": """
+        Over all its points the board's scale is taken for that of the drawing; images cannot tell it. How far that may be off
+        is judged from the print's other errors: a print that is 1 % wider than high was probably not to size either way.
+        The standard deviations of baseline and translation do not hold this, `board_shape.scale_sigma` does. The warning comes
+        at 0.25 %; good prints stay below 0.2 %.""",
     "scale-doubtful": """
         Boards are made with squares of a millimetre to half a metre. Images look the same whatever the size; only the
         plausibility of the number can be checked.""",

@@ -311,6 +311,12 @@ _KINDS = (
         "add views with the board elsewhere and tilted otherwise",
     ),
     FindingKind(
+        "board-scale-uncertain", _W, "The print is off by so much that its scale is in doubt",
+        "the board's print is off ({stretch_percent:+.2f} % longer along x than along y), so its scale, which no image tells, may be "
+        "off as well: lengths and baseline are known to {scale_percent:.2f} % at best; {remedy}.",
+        "measure the printed board and give its true size, or use a better print",
+    ),
+    FindingKind(
         "scale-doubtful", _W, "The board's points are implausibly far apart, or near",
         "the board's points lie {pitch_m:g} m apart, as if millimetres had been given for metres or the other way round: no image tells "
         "a board's size, and all lengths of the result scale with it; {remedy}.",

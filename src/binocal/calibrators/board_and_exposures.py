@@ -30,6 +30,7 @@ from binocal.solvers.exposures import (
     estimate_deviation_sigma,
     with_deviations,
 )
+from binocal.solvers.jackknife import excess_of_scores
 from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
 from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.real_views import (
@@ -102,12 +103,18 @@ def solve_real_views(
     )
     solve = _measured(problem, minimum)
     if board_shape != "flat" and _can_free(problem, solve, board_shape):
-        solve = _with_board_freed(solve, board_shape)
+        solve = _settled_or(solve, _with_board_freed(solve, board_shape))
     solve = _with_pair_compared(solve)
     if exposure == "apart" or (exposure == "auto" and _are_apart(solve)):
-        solve = _with_exposures_freed(solve, board_shape)
-        solve = _compared_after(solve)
+        freed = _settled_or(solve, _with_exposures_freed(solve, board_shape))
+        solve = solve if freed is solve else _compared_after(freed)
     return solve
+
+
+def _settled_or(before: RealViewsSolve, freed: RealViewsSolve) -> RealViewsSolve:
+    """What was freed, where that reached a minimum, or where there was none before either."""
+    has_arrived = bool(freed.minimum.is_converged) and np.isfinite(freed.noise_px)
+    return freed if has_arrived or not before.minimum.is_converged else before
 
 
 def _with_pair_compared(solve: RealViewsSolve) -> RealViewsSolve:
@@ -212,8 +219,11 @@ def _first_evidence(solve: RealViewsSolve, model: ShapeModel) -> ShapeEvidence:
 
 
 def _evidence(solve: RealViewsSolve, model: ShapeModel, before: ShapeEvidence) -> ShapeEvidence:
+    """The variances anew. What views have in common counts as noise: it bends the board too, but not the next set's."""
     offset = (solve.minimum.estimate.points - solve.problem.nominal.object_points).reshape(-1)
-    return estimate_variances(model, solve.reduced, offset, solve.noise_px, before.variances)
+    excess, _ = excess_of_scores(solve.reduced, solve.noise_px)
+    noise_px = solve.noise_px * float(np.sqrt(max(excess, 1.0)))
+    return estimate_variances(model, solve.reduced, offset, noise_px, before.variances)
 
 
 def _is_settled(before: Float[ndarray, "5"], after: Float[ndarray, "5"], model: ShapeModel) -> bool:

@@ -37,6 +37,7 @@ from binocal.solvers.whitening import CornerWeights
 
 SURE_SIGMAS = 3.0  # of a bow or stretch, to be named
 NOTICEABLE_SHARE = 0.5  # of the corner noise
+DOUBTFUL_SCALE = 0.0025  # relative standard deviation of the board's scale; good prints stay below 0.002
 
 
 def joint_problem(
@@ -188,10 +189,15 @@ def _shape_findings(solve: RealViewsSolve, shape: BoardShape | None, is_metric: 
     bundle = solve.minimum.estimate.bundle
     distance = float(np.median(np.linalg.norm(bundle.T_left_board.t, axis=1)))
     moves_px = moved / distance * float(bundle.parameters[0][0])
+    doubts: tuple[Finding, ...] = ()
+    if shape.scale_sigma > DOUBTFUL_SCALE:
+        stretch_percent, scale_percent = 100 * shape.stretch, 100 * shape.scale_sigma
+        doubts = (finding("board-scale-uncertain", stretch_percent=stretch_percent, scale_percent=scale_percent),)
     if moves_px < NOTICEABLE_SHARE * solve.noise_px:
-        return ()
+        return doubts
     unit, factor = ("mm", 1e3) if is_metric else ("board pitches", 1.0)
     return (
+        *doubts,
         finding(
             "board-not-as-drawn",
             bow=factor * shape.bow_m,

@@ -25,7 +25,7 @@ from binocal.solvers.real_views import RealViewsEquations, RealViewsEstimate, Re
 
 MIN_CORNERS = 12  # of an image, to tell smooth residuals from its pose
 LEAST_T = 2.0  # for a change to be named: below, the standard deviations carry it
-MIN_VIEWS = 5  # fewer have no room for a change among them
+MIN_VIEWS, MIN_VIEWS_OF_CHANGE = 4, 5  # fewer have no room for motion, or for a change, among them
 EXPLAINED_SHARE = 0.8  # of the excess, for a cause to be named
 SURE_GAIN, GAIN_PER_FREEDOM = 60.0, 6.0  # of -2 log likelihood over what else is alike within views
 CAMERAS = ("left", "right")
@@ -156,7 +156,7 @@ def measure_pair_motion(
     if reference is None:
         reference = smooth_residuals(problem, estimate, equations, pair.alone_px)
     change = None
-    if pair.excess > LEAST_T * max(1.0, reference):
+    if len(both) >= MIN_VIEWS_OF_CHANGE and pair.excess > LEAST_T * max(1.0, reference):
         extras = _extras(problem, estimate, equations, pair.alone_px**2)
         change = _find_change(extras, both, pair.excess, reference)
     return PairMotion(pair.excess, reference, change)
