@@ -152,8 +152,8 @@ EXPLANATIONS = {
     "few-different-poses": """
         Views that show the board in the same place to within the noise say little more than one of them.""",
     "board-scale-uncertain": """
-        Over all its points the board's scale is taken for that of the drawing; images cannot tell it. How far that may be off
-        is judged from the print's other errors: a print that is 1 % wider than high was probably not to size either way.
+        Over all its points the board's scale is taken for that of the drawing; images cannot tell it. How far that may be wrong
+        is estimated from the print's other errors: a print that is 1 % wider than high was probably not to size either way.
         The standard deviations of baseline and translation do not hold this, `board_shape.scale_sigma` does. The warning comes
         at 0.25 %; good prints stay below 0.2 %.""",
     "scale-doubtful": """

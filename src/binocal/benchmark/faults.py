@@ -216,7 +216,7 @@ def _calibrated(views: _Set) -> StereoCalibration | BinocalError:
         pixels.append(px)
     rig = views.rig
     detections = Detections.from_arrays(
-        views.points, *pixels, rig.left.size_wh, right_image_size_wh=rig.right.size_wh, board_spec=BOARD
+        views.points, pixels[0], pixels[1], rig.left.size_wh, right_image_size_wh=rig.right.size_wh, board_spec=BOARD
     )
     try:
         return calibrate(detections, model=rig.left.model)
