@@ -76,6 +76,8 @@ NOT_FETCHED = {
     "presentcjn_cb11x8": "MIT; ask its author for the images",
     "sourishg_webcam_640, sourishg_webcam_270x180": "no licence stated (github.com/sourishg/stereo-calibration)",
     "nico_tablet_a": "no licence stated",
+    "barry_swapped": "no licence stated",
+    "aix_sidebyside": "no licence stated (github.com/andrea-abascal/stereo_vision_AIX)",
 }
 
 
