@@ -150,9 +150,9 @@ _KINDS = (
     ),
     FindingKind(
         "corner-lists-shifted", _R, "One camera's corner lists are off by a row or column in all views",
-        "the left corner lists are shifted by {shift} against the right ones in all views: shifted back, the corners fit to "
+        "the left corner lists are off by one {line} against the right ones in all views: put right, the corners fit to "
         "{repaired_px:.3f} px instead of {noise_px:.3f} px; {remedy}.",
-        "shift the left lists by {shift}, or detect both cameras' corners anew", InconsistentViewsError,
+        "{what} the {line} number of every left corner, or detect both cameras' corners anew", InconsistentViewsError,
     ),
     # --- views that no rig can be solved from
     FindingKind(
@@ -343,10 +343,10 @@ _KINDS = (
         "camera model: {reason}.", "",
     ),
     FindingKind(
-        "board-not-as-drawn", _N, "The board is bent or stretched, and was measured along with the rig",
-        "the board is not as drawn: it bows by {bow:.2f} ± {bow_sigma:.2f} {unit} and is {stretch_percent:+.3f} ± "
-        "{stretch_sigma_percent:.3f} % longer along x than along y, which moves corners by up to {moves_px:.2f} px; this was "
-        "measured along with the rig and does not harm it: {remedy}.",
+        "board-not-as-drawn", _N, "The board is bent or badly printed, and was measured along with the rig",
+        "the board is not as drawn: it bows by {bow:.2f} ± {bow_sigma:.2f} {unit}, and lengths along x are {stretch_percent:+.3f} ± "
+        "{stretch_sigma_percent:.3f} % off those along y, which moves corners by up to {moves_px:.2f} px; it was measured along with the "
+        "rig, and its scale is taken for the drawing's, which holds to {scale_percent:.2f} %; {remedy}.",
         "reuse the board with --board-file, or mount it on something flat and stiff",
     ),
     # --- views

@@ -64,8 +64,8 @@ def cases(calibration):
     middle = (1280 - 1) / 2
     return {
         "corners-do-not-fit": (
-            replace(calibration, noise_px=0.079 * spacing_px),
-            replace(calibration, noise_px=0.081 * spacing_px),
+            replace(calibration, noise_px=0.119 * spacing_px),
+            replace(calibration, noise_px=0.121 * spacing_px),
         ),
         "too-many-outliers": (with_outliers(calibration, 0.29), with_outliers(calibration, 0.31)),
         "focal-length-undetermined": (

@@ -10,7 +10,7 @@ import pytest
 from binocal import calibrate
 from binocal.boards import parse_board
 from binocal.cameras import Camera
-from binocal.errors import InconsistentViewsError
+from binocal.errors import CalibrationError, InconsistentViewsError
 from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.set_checks.copies import different_poses, first_of_copies
@@ -173,7 +173,7 @@ def test_left_lists_shifted_by_a_column_or_row_are_refused(step):
     left[:, :-step] = detections.left_px[:, step:]
     if step == 1:
         left[:, 8::9] = np.nan  # the last of every row has no neighbour
-    with pytest.raises(InconsistentViewsError, match=r"shifted|not taken together|contradict"):
+    with pytest.raises(InconsistentViewsError, match=r"off by one (column|row)"):
         calibrate(replace(detections, left_px=left), model="brown4")
 
 
@@ -189,3 +189,31 @@ def test_first_of_copies_and_different_poses():
     detections = Recording(9, n_views=5).corners().select(np.array([0, 1, 0, 2, 1]))
     assert first_of_copies(detections).tolist() == [0, 1, 0, 3, 1]
     assert different_poses(detections, 0.5).tolist() == [True, True, False, True, False]
+
+
+def test_a_wild_step_of_a_freed_solve_is_no_error():
+    """Two recordings in one, half of the rig turned: whatever comes out, it is a calibration or a refusal."""
+    for seed in range(4):
+        views = Recording(20 + seed)
+        other = Recording(40 + seed)
+        views.in_left[8:], views.in_right[8:] = other.in_left[8:], other.in_right[8:]
+        views.left[8:], views.right[8:] = other.left[8:], other.right[8:]
+        try:
+            assert codes(calibrate(views.corners(), model="brown4"))
+        except CalibrationError as error:
+            assert error.findings
+
+
+@pytest.mark.parametrize(("step", "by"), [(1, 1), (-1, -1)])
+def test_the_remedy_of_shifted_lists_puts_them_right(step, by):
+    detections = Recording(8).corners()
+    columns = np.arange(54) % 9
+    source = np.arange(54) + step
+    inside = (columns + step >= 0) & (columns + step < 9)
+    left = np.full_like(detections.left_px, np.nan)
+    left[:, inside] = detections.left_px[:, source[inside]]
+    with pytest.raises(InconsistentViewsError) as caught:
+        calibrate(replace(detections, left_px=left), model="brown4")
+    (found,) = caught.value.findings
+    # what the left lists call column c is column c + step of the board
+    assert (found.code, found.figures["line"], found.figures["by"]) == ("corner-lists-shifted", "column", by)

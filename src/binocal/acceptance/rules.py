@@ -51,9 +51,9 @@ class Rule:
 
 NOISE_SHARE = Limit(
     "corner noise over corner spacing",
-    0.08,
+    0.12,
     "",
-    "real images reach 0.02 (270x180), a wrong board or corner order 0.3 and more",
+    "real images reach 0.02 (270x180), 1 px of noise at 11 px 0.09, a wrong board or corner order 0.3 and more",
 )
 OUTLIER_SHARE = Limit(
     "share of corners without weight", 0.3, "", "a robust fit that drops more has chosen one explanation among several"

@@ -31,8 +31,8 @@ MAX_NAMES = 6
 NO_SUSPECTS = ("view-without-corners", "view-copied", "view-on-a-line", "view-at-one-point")
 """Reasons for which a view is left out that say nothing of the rig."""
 LEAST_PITCH_M, LARGEST_PITCH_M = 0.3e-3, 1.0  # of neighbouring points: targets of microscopes and of rooms
-GAP_SHARE = 0.7  # of the offsets' squares, for a gap to be what is wrong
-GAP_SIGMAS = 5.0
+GAP_SHARE = 0.5  # of the offsets' squares, for a gap to be what is wrong
+GAP_SIGMAS = 4.0
 
 
 def exposure_findings(exposure: ExposureFit, motion: PairMotion | None, names: Sequence[str]) -> tuple[Finding, ...]:

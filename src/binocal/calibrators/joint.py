@@ -17,7 +17,7 @@ from binocal import acceptance
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.calibrators.board_and_exposures import RealViewsSolve, solve_real_views
 from binocal.calibrators.prior_check import check_disagreement, disagreement
-from binocal.calibrators.set_checking import checked_as_a_whole, without_copies
+from binocal.calibrators.set_checking import checked_as_a_whole, refuse_shifted_lists, without_copies
 from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
@@ -115,6 +115,7 @@ def calibrate_jointly(
     except CalibrationError as error:
         motion = acceptance.gross_motion(calibration.exposure, 0.0, "what is left does not determine the rig")
         if motion is not None:
+            refuse_shifted_lists(calibration, solve)
             raise refusal(motion, error.rejected) from error
         raise
     return checked_as_a_whole(accepted, solve, given, copies, doubts_of_copies)

@@ -35,6 +35,22 @@ def without_copies(detections: Detections) -> tuple[Detections, tuple[RejectedVi
     return detections.select(~is_copy), rejected, (found,)
 
 
+def refuse_shifted_lists(calibration: StereoCalibration, solve: RealViewsSolve) -> None:
+    """Raises InconsistentViewsError: one camera's corner lists are off by a row or column in all views."""
+    shift = find_shift(solve.problem.nominal, solve.nominal_bundle, solve.nominal_noise_px)
+    if shift is None:
+        return
+    found = finding(
+        "corner-lists-shifted",
+        line=shift.line,
+        by=shift.by,
+        what="add one to" if shift.by > 0 else "subtract one from",
+        repaired_px=shift.noise_px,
+        noise_px=solve.nominal_noise_px,
+    )
+    raise refusal(found, acceptance.describe_views(calibration))
+
+
 def checked_as_a_whole(
     calibration: StereoCalibration,
     solve: RealViewsSolve,
@@ -49,11 +65,8 @@ def checked_as_a_whole(
     """
     views, exposure = calibration.corners.detections, calibration.exposure
     rejected = (*copies, *calibration.rejected)
-    if solve.motion is not None and solve.motion.T > APART_T and solve.motion.change is None:
-        shift = find_shift(solve.problem.nominal, solve.nominal_bundle, solve.nominal_noise_px)
-        if shift is not None:
-            figures = {"shift": shift.words, "repaired_px": shift.noise_px, "noise_px": solve.nominal_noise_px}
-            raise refusal(finding("corner-lists-shifted", **figures), acceptance.describe_views(calibration))
+    if solve.motion is not None and solve.motion.T > APART_T:
+        refuse_shifted_lists(calibration, solve)
     motion = acceptance.gross_motion(exposure, acceptance.corner_spacing_px(views))
     if motion is not None:
         raise refusal(motion, acceptance.describe_views(calibration))

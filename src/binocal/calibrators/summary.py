@@ -206,6 +206,7 @@ def _shape_findings(solve: RealViewsSolve, shape: BoardShape | None, is_metric: 
             stretch_percent=100 * shape.stretch,
             stretch_sigma_percent=100 * shape.stretch_sigma,
             moves_px=moves_px,
+            scale_percent=100 * shape.scale_sigma,
         ),
     )
 

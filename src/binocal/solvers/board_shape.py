@@ -35,7 +35,7 @@ MAX_COORDINATES = 150  # that a variance is estimated from: more know it no bett
 DOUBT_BOW, DOUBT_AFFINE, DOUBT_SMOOTH = 18.0, 16.0, 48.0
 """Of chi-squared with 3, 2 and 16 degrees of freedom: a flat board passes one in some thousand, and is then looked at closely."""
 DOUBT_POINTS_SIGMA = 4.0
-EVIDENCE_LIMIT = 20.0  # -2 log likelihood ratio: 700 flat boards stay below 13, a bow of 0.5 mm gives 84 and more
+EVIDENCE_LIMIT = 15.0  # -2 log likelihood ratio: 700 flat boards stay below 13, a bow of 0.5 mm gives 84 and more
 
 Variances = Float[ndarray, "5"]
 
@@ -353,6 +353,8 @@ def _maximize(
         inverse = np.linalg.inv(N)
         q = inverse @ d
         new = float(np.linalg.slogdet(N)[1] + d @ q)
+        if not np.isfinite(new) and not np.isfinite(value):
+            return np.inf, start  # nothing follows from such equations: the board stays as drawn
         if new < value:
             is_done = value - new < TOLERANCE
             a, value = trial, new

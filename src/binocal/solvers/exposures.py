@@ -58,8 +58,9 @@ def board_size(problem: RealViewsProblem) -> float:
 
 def board_centres(problem: RealViewsProblem, estimate: RealViewsEstimate) -> Float[ndarray, "views 3"]:
     """The board's centre in the right camera's frame, as the rig has it."""
-    T = estimate.bundle.T_right_left @ estimate.bundle.T_left_board
-    return T.R @ problem.nominal.object_points.mean(axis=1) + T.t
+    rig, left = estimate.bundle.T_right_left, estimate.bundle.T_left_board
+    in_left = left.R @ problem.nominal.object_points.mean(axis=1) + left.t
+    return in_left @ rig.R.T + rig.t
 
 
 def with_deviations(

@@ -26,6 +26,7 @@ from binocal.kernels import (
     ViewEquations,
     accumulate,
     accumulate_with_points,
+    compose_poses,
     median_lengths2,
     point_gradients,
     reduce_stereo,
@@ -142,9 +143,13 @@ class RealViewsProblem:
 
     def camera_poses(self, estimate: RealViewsEstimate) -> tuple[SE3, SE3]:
         """``T_camera_board`` of every view for both cameras."""
-        right = estimate.bundle.T_right_left @ estimate.bundle.T_left_board
+        rig, left = estimate.bundle.T_right_left, estimate.bundle.T_left_board
+        right = SE3.unchecked(*compose_poses(rig.R, rig.t, left.R, left.t))
         deviation = self._deviation(estimate)
-        return estimate.bundle.T_left_board, right if deviation is None else deviation @ right
+        if deviation is not None:  # a wild step may be no rotation: its cost is infinite, it is no error
+            t = np.einsum("vij,vj->vi", deviation.R, right.t) + deviation.t
+            right = SE3.unchecked(deviation.R @ right.R, t)
+        return left, right
 
     def residual_lengths2(self, estimate: RealViewsEstimate) -> tuple[Float[ndarray, "views n"], ...]:
         """Squared residual lengths of each camera, whitened where it has a whitening; 0 where not seen."""
