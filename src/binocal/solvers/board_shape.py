@@ -50,14 +50,35 @@ class ShapeModel:
     """
 
     pitch: float
-    basis: Float[ndarray, "m r"]
-    kernels: tuple[Float[ndarray, "r r"], ...]
+    points: Float[ndarray, "3 n"]
     hidden: Float[ndarray, "m 7"]
-    sample: Float[ndarray, "c r"] | None
-    sampled: tuple[Float[ndarray, "c c"], ...]
     modes: Float[ndarray, "m s"]
     """Smooth offsets of unit length, without what no image tells: bows, then stretch and shear, then higher orders."""
     n_affine: int
+
+    @property
+    def basis(self) -> Float[ndarray, "m r"]:
+        """See above."""
+        return self._kinds.basis
+
+    @property
+    def kernels(self) -> tuple[Float[ndarray, "r r"], ...]:
+        """See above."""
+        return self._kinds.kernels
+
+    @property
+    def sample(self) -> Float[ndarray, "c r"] | None:
+        """See above."""
+        return self._kinds.sample
+
+    @property
+    def sampled(self) -> tuple[Float[ndarray, "c c"], ...]:
+        """See above."""
+        return self._kinds.sampled
+
+    @property
+    def _kinds(self) -> _Kinds:
+        return _kinds(self.points.tobytes(), self.points.shape[1])
 
     @staticmethod
     def of_points(points: Float[ndarray, "3 n"]) -> ShapeModel:
@@ -122,13 +143,28 @@ def _weighted(variances: Variances, kernels: tuple[Float[ndarray, "r r"], ...]) 
     return out
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kinds:
+    """What a closer look needs, and only that: a large board takes a second."""
+
+    basis: Float[ndarray, "m r"]
+    kernels: tuple[Float[ndarray, "r r"], ...]
+    sample: Float[ndarray, "c r"] | None
+    sampled: tuple[Float[ndarray, "c c"], ...]
+
+
 @lru_cache(maxsize=8)
 def _model(data: bytes, n: int) -> ShapeModel:
     points = np.frombuffer(data).reshape(3, n)
-    pitch = pitch_of(points)
     hidden = hidden_directions(points)
-    basis = _complement(hidden)
-    smooth, affine = _smooth(points, pitch), _affine(points)
+    return ShapeModel(pitch_of(points), points, hidden, *_smooth_modes(points, hidden))
+
+
+@lru_cache(maxsize=4)
+def _kinds(data: bytes, n: int) -> _Kinds:
+    points = np.frombuffer(data).reshape(3, n)
+    basis = _complement(hidden_directions(points))
+    smooth, affine = _smooth(points, pitch_of(points)), _affine(points)
     zero, one = np.zeros((n, n)), np.eye(n)
     blocks = (
         _blocks(one, one, zero),
@@ -137,14 +173,12 @@ def _model(data: bytes, n: int) -> ShapeModel:
         _blocks(zero, zero, smooth),
         affine @ affine.T,
     )
-    modes, n_affine = _smooth_modes(points, hidden)
     kernels = tuple(basis.T @ block @ basis for block in blocks)
-    sample, sampled = None, kernels
-    if 3 * n > MAX_COORDINATES:
-        some = np.unique(np.linspace(0, n - 1, MAX_COORDINATES // 3).round().astype(int))
-        sample = basis[np.concatenate([some, n + some, 2 * n + some])]
-        sampled = tuple(sample @ kernel @ sample.T for kernel in kernels)
-    return ShapeModel(pitch, basis, kernels, hidden, sample, sampled, modes, n_affine)
+    if 3 * n <= MAX_COORDINATES:
+        return _Kinds(basis, kernels, None, kernels)
+    some = np.unique(np.linspace(0, n - 1, MAX_COORDINATES // 3).round().astype(int))
+    sample = basis[np.concatenate([some, n + some, 2 * n + some])]
+    return _Kinds(basis, kernels, sample, tuple(sample @ kernel @ sample.T for kernel in kernels))
 
 
 def _smooth_modes(points: Float[ndarray, "3 n"], hidden: Float[ndarray, "m 7"]) -> tuple[Float[ndarray, "m s"], int]:
