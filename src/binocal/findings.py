@@ -268,7 +268,7 @@ _KINDS = (
     FindingKind(
         "exposures-apart", _W, "The cameras did not see the board at the same moment",
         "left and right were not taken together: each camera alone fits to {alone_px:.3f} px, both together only to {pair_px:.3f} "
-        "px; every view's right pose was freed, and the standard deviations count it; {remedy}.",
+        "px; {how}; {remedy}.",
         "trigger the cameras together, or put the board on a stand for each pair",
     ),
     FindingKind(

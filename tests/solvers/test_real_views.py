@@ -221,6 +221,7 @@ def test_a_print_one_percent_wider_is_found():
 def test_warp_finds_a_bow_and_moves_no_point_elsewhere():
     _, detections = recording(6, 12, points_m=bowed(1e-3))
     shape = calibrate(detections, model="brown4", board_shape="warp").board_shape
+    assert 0 < shape.scale_sigma < 0.01
     assert shape.bow_m == pytest.approx(1e-3, rel=0.1)
     x = BOARD.object_points_m[:, 0]
     for value in np.unique(x):  # a quadratic in x and y: along a column it is one in y alone

@@ -31,6 +31,8 @@ MAX_NAMES = 6
 NO_SUSPECTS = ("view-without-corners", "view-copied", "view-on-a-line", "view-at-one-point")
 """Reasons for which a view is left out that say nothing of the rig."""
 LEAST_PITCH_M, LARGEST_PITCH_M = 0.3e-3, 1.0  # of neighbouring points: targets of microscopes and of rooms
+FREED = "every view's right pose was freed, and the standard deviations count it"
+NOT_FREED = "the right poses were held together, so the rig is worse than it need be"
 GAP_SHARE = 0.5  # of the offsets' squares, for a gap to be what is wrong
 GAP_SIGMAS = 4.0
 
@@ -43,7 +45,8 @@ def exposure_findings(exposure: ExposureFit, motion: PairMotion | None, names: S
         return (_change_finding(motion.change, names),)
     is_clear = motion.T > CLEARLY_APART_T and exposure.ratio > CLEARLY_APART_RATIO
     if motion.T > APART_T or is_clear:
-        return (finding("exposures-apart", alone_px=exposure.alone_px, pair_px=exposure.pair_px),)
+        how = FREED if exposure.are_apart else NOT_FREED
+        return (finding("exposures-apart", alone_px=exposure.alone_px, pair_px=exposure.pair_px, how=how),)
     return ()
 
 

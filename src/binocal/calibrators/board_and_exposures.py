@@ -172,8 +172,8 @@ def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> R
     model = ShapeModel.of_points(points)
     if board_shape in ("warp", "free"):
         information = model.warp_information(points) if board_shape == "warp" else model.weak_information()
-        problem = replace(problem, shape_information=information)
-        return _minimized(problem, solve, FINE, solve.shape)
+        solve = _minimized(replace(problem, shape_information=information), solve, FINE, solve.shape)
+        return replace(solve, shape=_evidence(solve, model, None))  # for what it says of the print's scale
     if not _looks_bent(solve, model):
         return solve
     shape = _first_evidence(solve, model)
@@ -218,12 +218,13 @@ def _first_evidence(solve: RealViewsSolve, model: ShapeModel) -> ShapeEvidence:
     return estimate_variances(model, reduced, np.zeros(len(model.basis)), max(noise_px, robust.SCALE_FLOOR_PX))
 
 
-def _evidence(solve: RealViewsSolve, model: ShapeModel, before: ShapeEvidence) -> ShapeEvidence:
+def _evidence(solve: RealViewsSolve, model: ShapeModel, before: ShapeEvidence | None) -> ShapeEvidence:
     """The variances anew. What views have in common counts as noise: it bends the board too, but not the next set's."""
     offset = (solve.minimum.estimate.points - solve.problem.nominal.object_points).reshape(-1)
     excess, _ = excess_of_scores(solve.reduced, solve.noise_px)
     noise_px = solve.noise_px * float(np.sqrt(max(excess, 1.0)))
-    return estimate_variances(model, solve.reduced, offset, noise_px, before.variances)
+    start = None if before is None else before.variances
+    return estimate_variances(model, solve.reduced, offset, noise_px, start)
 
 
 def _is_settled(before: Float[ndarray, "5"], after: Float[ndarray, "5"], model: ShapeModel) -> bool:

@@ -21,6 +21,7 @@ CONVENTION = (
     "x_right = R x_left + t. R is the right camera turned from the left one's pose by pitch about its own x (right),\n"
     "then yaw about y (down), then roll about z (forward)."
 )
+SURE_SIGMAS = 3.0  # of a bow or stretch, to be shown
 MAX_NAMES = 8  # names of dropped views in one line of the summary; stderr has all of them
 
 
@@ -67,7 +68,10 @@ def _real_lines(calibration: StereoCalibration) -> list[str]:
     """What was found of the board, of the exposures, and of what views have in common."""
     lines = []
     shape, exposure = calibration.board_shape, calibration.exposure
-    if shape is not None:
+    is_bent = shape is not None and (
+        shape.bow_m > SURE_SIGMAS * shape.bow_sigma_m or abs(shape.stretch) > SURE_SIGMAS * shape.stretch_sigma
+    )
+    if shape is not None and is_bent:
         unit, factor = calibration.rig.printed_unit
         lines.append(
             f"Board    measured along: bow {with_sigma(factor * shape.bow_m, factor * shape.bow_sigma_m)} {unit}, x over y stretched by "
