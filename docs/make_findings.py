@@ -144,6 +144,10 @@ EXPLANATIONS = {
         When the rig changes a lot, the views after it (or before it, whichever are fewer) contradict the others and are left
         out, as single bad views are. That all of them lie at one end of the recording says what happened. If the rig changed
         towards the end, the result is of the rig as it was before.""",
+    "many-views-left-out": """
+        A few bad views are to be expected, and one or two are left out without further ado. Where more than a fifth contradict
+        the others, scattered over the recording, the majority is not to be believed unseen: the rig may have had two states,
+        or the cameras were not always triggered together.""",
     "rests-on-few-views": """
         Rotation and translation between the cameras come from views that both of them see. Where such views are few, or two
         or three outweigh all others, or most of the given views were left out, nothing is left to notice an error in them.""",

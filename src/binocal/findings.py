@@ -294,6 +294,12 @@ _KINDS = (
         "calibrate them apart, and keep the result that is of the rig as it is now",
     ),
     FindingKind(
+        "many-views-left-out", _W, "Many views contradict the others",
+        "{n_out} of {n_given} views contradict the others and were left out ({views}): the rig, its setting or the "
+        "triggering may not have held still; {remedy}.",
+        "see what these views have in common, and record anew if it is not the images",
+    ),
+    FindingKind(
         "rests-on-few-views", _W, "The rig rests on few of the views",
         "the rig rests on {weight:.1f} views' worth of pairs ({n_used} of {n_given} views used, {n_shared} seen by both cameras): "
         "a single wrong one would go unnoticed; {remedy}.",

@@ -157,6 +157,17 @@ def test_a_change_that_throws_the_last_views_out_is_named():
     assert found and (found[0].figures["first"], found[0].figures["last"]) == ("12", "15")
 
 
+@pytest.mark.parametrize(("moved", "is_said"), [((2, 9), False), ((2, 6, 9, 13), True)])
+def test_many_scattered_views_left_out_are_a_warning(moved, is_said):
+    views = Recording(6)
+    for view in moved:
+        views.in_right[view] = views.in_right[view] @ so3.exp(views.rng.normal(0, 0.03, 3)).T
+    calibration = calibrate(views.corners(), model="brown4")
+    assert {v.name for v in calibration.rejected} == {f"{view:02}" for view in moved}
+    found = [f.figures for f in calibration.findings if f.code == "many-views-left-out"]
+    assert found == ([{"n_out": 4, "n_given": 16, "views": "02, 06, 09, 13"}] if is_said else [])
+
+
 @pytest.mark.parametrize("gap", [0.29, 0.25])
 def test_the_right_gap_of_an_aprilgrid_is_given(gap):
     views = Recording(7, spec="aprilgrid:5x4:40mm:0.3", n_views=20)

@@ -17,16 +17,14 @@ from binocal.shapes import Float
 from binocal.solvers.board_shape import pitch_of
 
 APART_T = 12.0  # of the relative poses' excess: between grey real sets (below 9) and those not triggered together (11.6 and more)
-CLEARLY_APART_T, CLEARLY_APART_RATIO = (
-    4.0,
-    1.5,
-)  # or less of it, where the pair fits that much worse than the cameras alone
+CLEARLY_APART_T, CLEARLY_APART_RATIO = 4.0, 1.5  # or less, where the pair fits that much worse than the cameras alone
 GROSS_RATIO = 15.0  # the pair over the cameras alone: above, a moving board has been measured, not a rig
 GROSS_SHARE = 0.03  # and of the corners' spacing: below, freed exposures still give a rig whose sigmas hold
 HOPELESS_RATIO = 2.0  # the same where what is left determines no rig
 LEAST_WEIGHT = 3.2  # views' worth of pairs; clean sets of six have 3.8 and more
 LEAST_VIEWS = 4
 LEFT_OUT_SHARE = 0.5  # of the given views: a majority must be used
+MANY_SHARE = 0.2  # of the given views: sound recordings have none to a tenth left out
 MAX_NAMES = 6
 NO_SUSPECTS = ("view-without-corners", "view-copied", "view-on-a-line", "view-at-one-point")
 """Reasons for which a view is left out that say nothing of the rig."""
@@ -82,14 +80,17 @@ def _change_finding(change: Change, names: Sequence[str]) -> Finding:
     if change.course == "drift":
         return finding("rig-drifts", **figures)
     members = [names[view] for view in change.members]
-    listed = ", ".join(members[:MAX_NAMES]) + (" ..." if len(members) > MAX_NAMES else "")
-    return finding("rig-has-two-states", n_views=len(members), views=listed, **figures)
+    return finding("rig-has-two-states", n_views=len(members), views=_listed(members), **figures)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:MAX_NAMES]) + (" ..." if len(names) > MAX_NAMES else "")
 
 
 def left_out_findings(
     names: Sequence[str], used: Sequence[str], rejected: Sequence[RejectedView]
 ) -> tuple[Finding, ...]:
-    """Views at one end of the recording that all contradict the others. ``names`` are the given views in their order."""
+    """Views at one end of the recording that all contradict the others, or many anywhere. ``names`` are the given views in order."""
     place = {name: i for i, name in enumerate(names)}
     out = sorted(place[view.name] for view in rejected if view.name in place and view.code not in NO_SUSPECTS)
     k, n = len(out), len(names)
@@ -97,7 +98,9 @@ def left_out_findings(
         return ()
     at_start, at_end = out[-1] < k + 2, out[0] >= n - k - 2
     if at_start == at_end:
-        return ()
+        if k <= MANY_SHARE * n:
+            return ()
+        return (finding("many-views-left-out", n_out=k, n_given=n, views=_listed([names[i] for i in out])),)
     end = "the beginning" if at_start else "the end"
     return (finding("changed-from-view", first=names[out[0]], last=names[out[-1]], end=end),)
 
