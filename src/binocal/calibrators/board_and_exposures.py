@@ -14,10 +14,11 @@ from numpy import ndarray
 
 from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
 from binocal.set_checks.pair_motion import LEAST_T, PairMotion, measure_freed_motion, measure_pair_motion
-from binocal.shapes import Bool, Float, Int
+from binocal.shapes import Float, Int
 from binocal.solvers import robust
 from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, doubt_flatness, estimate_variances
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
+from binocal.solvers.covariance import inliers
 from binocal.solvers.exposures import (
     APART_RATIO,
     APART_T,
@@ -34,7 +35,6 @@ from binocal.solvers.jackknife import excess_of_scores
 from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
 from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.real_views import (
-    RealViewsEquations,
     RealViewsMinimum,
     RealViewsProblem,
     cameras_information,
@@ -72,19 +72,6 @@ class RealViewsSolve:
     motion: PairMotion | None = None
     shape: ShapeEvidence | None = None
     n_iterations: int = 0
-
-    @property
-    def is_freed(self) -> bool:
-        """Whether anything is."""
-        return self.problem.shape_information is not None or self.problem.deviation_sigma is not None
-
-
-def inliers(problem: RealViewsProblem, minimum: RealViewsMinimum) -> tuple[Bool[ndarray, "views n"], ...]:
-    """Which seen corners carry weight at the minimum."""
-    return tuple(
-        c.is_seen & robust.carries_weight(e.r2_px2, minimum.scale_px, minimum.kernel)
-        for c, e in zip(problem.cameras, minimum.equations.cameras, strict=True)
-    )
 
 
 def solve_real_views(
@@ -147,7 +134,7 @@ def _are_apart(solve: RealViewsSolve) -> bool:
         return True
     if solve.motion is None:
         return False
-    limit = LESS_APART_T if solve.pair.ratio < APART_RATIO else APART_T
+    limit = LESS_APART_T if solve.pair.ratio > APART_RATIO else APART_T
     return limit < solve.motion.T
 
 
@@ -212,7 +199,7 @@ def _first_evidence(solve: RealViewsSolve, model: ShapeModel) -> ShapeEvidence:
     equations = weak.linearize(minimum.estimate, minimum.scale_px, minimum.kernel)
     reduced = weak.reduced(minimum.estimate, equations)
     x = solve_symmetric(reduced.information, reduced.gradient)
-    rss = _rss(equations) - float(x @ reduced.gradient) - float(np.sum(reduced.y**2))
+    rss = equations.rss_px2 - float(x @ reduced.gradient) - float(np.sum(reduced.y**2))
     fitted = 6 * reduced.is_determined.sum() + reduced.n_shared + len(model.basis) - 7
     noise_px = float(np.sqrt(max(rss, 0.0) / max(_n_coordinates(weak, minimum) - fitted, 1)))
     return estimate_variances(model, reduced, np.zeros(len(model.basis)), max(noise_px, robust.SCALE_FLOOR_PX))
@@ -293,12 +280,8 @@ def _measured(problem: RealViewsProblem, minimum: RealViewsMinimum) -> RealViews
     fitted = 6 * reduced.is_determined.sum() + problem.n_free + effective_points(problem, reduced)
     fitted += determined_deviations(problem, reduced, scale)
     freedom = _n_coordinates(problem, minimum) - fitted
-    noise_px = float(np.sqrt(_rss(minimum.equations) / freedom)) if freedom > 0 else np.nan
+    noise_px = float(np.sqrt(minimum.equations.rss_px2 / freedom)) if freedom > 0 else np.nan
     if problem.has_priors and np.isfinite(noise_px):
         weighed = replace(minimum.equations, scale_px=np.asarray(max(noise_px, robust.SCALE_FLOOR_PX)))
         reduced = problem.reduced(minimum.estimate, weighed)
     return RealViewsSolve(problem, minimum, reduced, noise_px, noise_px, minimum.estimate.bundle, PairFit(1.0, 1.0))
-
-
-def _rss(equations: RealViewsEquations) -> float:
-    return sum(float(e.gram[:, -1, -1].sum()) for e in equations.cameras)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest
-from binocal.calibrators.board_and_exposures import RealViewsSolve, inliers
+from binocal.calibrators.board_and_exposures import RealViewsSolve
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.findings import Finding, finding, refusal
@@ -31,7 +31,7 @@ from binocal.result import (
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.board_shape import ShapeModel, describe_shape
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, CameraObservations
-from binocal.solvers.covariance import real_covariance, shared_names
+from binocal.solvers.covariance import inliers, real_covariance, shared_names
 from binocal.solvers.joint_system import solve_symmetric
 from binocal.solvers.whitening import CornerWeights
 

@@ -249,7 +249,7 @@ def _find_change(extras: _Extras, both: Int[ndarray, "b"], excess: float, refere
     for direction in _DIRECTIONS:
         d = len(direction.columns)
         for change in (
-            *_steps(extras, both, direction),
+            _step(extras, both, direction),
             _drift(extras, both, direction),
             *_states(extras, both, direction),
         ):
@@ -289,12 +289,12 @@ def _parts(extras: _Extras, views: Int[ndarray, "b"], direction: _Direction):  #
     )
 
 
-def _steps(extras: _Extras, views: Int[ndarray, "b"], direction: _Direction) -> list[Change]:
+def _step(extras: _Extras, views: Int[ndarray, "b"], direction: _Direction) -> Change:
     """The best step in the order of the views."""
     h, c, g = (np.cumsum(part[::-1], axis=0)[::-1][1:] for part in _parts(extras, views, direction))
     gains, sizes = _gains(h, c, g, extras)
     best = int(np.argmax(gains))
-    return [_change(direction, "step", int(views[best + 1]), sizes[best], float(gains[best]))]
+    return _change(direction, "step", int(views[best + 1]), sizes[best], float(gains[best]))
 
 
 def _drift(extras: _Extras, views: Int[ndarray, "b"], direction: _Direction) -> Change:

@@ -20,13 +20,8 @@ from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
 
 WEAK_SHARE = 0.3  # of the pitch: standard deviation of a point that hardly any view determines
 STIFF_SHARE = 1e-5  # of the pitch: standard deviation of what no image tells
-START_SHARES = (
-    0.003,
-    0.003,
-    0.003,
-    0.003,
-    0.001,
-)  # of the pitch: independent in, out, smooth in, out; affine, a pure number
+START_SHARES = (0.003, 0.003, 0.003, 0.003, 0.001)
+"""Standard deviations to start from, of the pitch: independent in the plane and across, smooth in and across; affine, a number."""
 LEAST_SHARE = 1e-6  # of the pitch: a standard deviation below is none
 CORRELATION_LENGTH = 0.5  # of the board's longer side
 MAX_ITERATIONS = 30
@@ -103,7 +98,7 @@ class ShapeModel:
 
     def weak_information(self) -> Float[ndarray, "m m"]:
         """That of points which are free as far as they are seen at all."""
-        m = len(self.basis)
+        m = len(self.hidden)
         return (
             np.eye(m) / (WEAK_SHARE * self.pitch) ** 2 + self.hidden @ self.hidden.T / (STIFF_SHARE * self.pitch) ** 2
         )
@@ -277,10 +272,10 @@ class ShapeEvidence:
 
 @dataclass(frozen=True, slots=True)
 class ShapeDoubt:
-    """Scores of a board as drawn, each over its degrees of freedom's share: a bow, a stretch or shear, smooth shapes, single points.
+    """Scores of a board as drawn, for a bow, a stretch or shear, smooth shapes and single points.
 
-    The first three are squared lengths of scores in their standard deviations (chi-squared with ``freedom``), the last is the
-    points' mean square in standard deviations of that mean.
+    The first three are squared lengths of scores in their standard deviations (chi-squared with 3, 2 and up to 16 degrees of
+    freedom), the last is the excess of the points' mean square in standard deviations of that mean.
     """
 
     bow: float

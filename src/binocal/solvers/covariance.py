@@ -23,6 +23,7 @@ from binocal.solvers.joint_system import ReducedSystem
 from binocal.solvers.real_views import (
     RealViewsEquations,
     RealViewsEstimate,
+    RealViewsMinimum,
     RealViewsProblem,
     cameras_information,
 )
@@ -125,7 +126,9 @@ def residual_noise_px(
     return float(np.sqrt(weighted / freedom))
 
 
-def inliers(problem: BundleProblem, minimum: BundleMinimum) -> tuple[Bool[ndarray, "views n"], ...]:
+def inliers(
+    problem: BundleProblem | RealViewsProblem, minimum: BundleMinimum | RealViewsMinimum
+) -> tuple[Bool[ndarray, "views n"], ...]:
     """Which seen corners carry weight at the minimum."""
     return tuple(
         c.is_seen & robust.carries_weight(e.r2_px2, minimum.scale_px, minimum.kernel)

@@ -70,6 +70,11 @@ class RealViewsEquations:
         """Squared residual lengths of each camera."""
         return tuple(e.r2_px2 for e in self.cameras)
 
+    @property
+    def rss_px2(self) -> float:
+        """Sum of squared residual lengths, with the kernel's weights and without the priors."""
+        return sum(float(e.gram[..., -1, -1].sum()) for e in self.cameras)
+
     def cost_under(self, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> Float[ndarray, "*batch"]:
         """Robust cost of the same residuals under another scale of the kernel."""
         total = scale_px**2 * self.prior_energy
