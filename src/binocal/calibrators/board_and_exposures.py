@@ -35,6 +35,7 @@ from binocal.solvers.jackknife import excess_of_scores
 from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
 from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, Minimum, minimize
 from binocal.solvers.real_views import (
+    RealViewsEquations,
     RealViewsMinimum,
     RealViewsProblem,
     cameras_information,
@@ -47,8 +48,9 @@ MAX_STRETCHES = 8
 RIG_TOLERANCE_SIGMA = 0.3  # over all parameters of the rig: a twentieth of a standard deviation for one
 COARSE = LoopOptions(tolerance_sigma=0.5, max_iterations=4)
 FINE = LoopOptions(tolerance_sigma=0.3, max_iterations=3, initial_damping=RESUMED_DAMPING)
-SCREENED_VIEWS = 24  # for a first look
+SCREENED_VIEWS = 16  # for a first look
 LINEAR_SHARE = 0.1  # of the pair's noise that the cameras leave alone: below, the linear look is not to be believed
+LESSENED_SHARE = 0.005  # of the corners, of Gaussian noise it is 0.002
 OPENED = 3.0  # times the kernel's scale, for the comparison of the cameras
 MIN_POINTS = 9  # fewer are determined by their poses and the lens
 MIN_VIEWS_TO_FREE = 4
@@ -84,7 +86,8 @@ def solve_real_views(
     """Free what the data say is not as drawn, from the nominal minimum."""
     problem = RealViewsProblem(nominal)
     estimate = problem.start(known.estimate)
-    equations = problem.linearize(estimate, known.scale_px, known.kernel)
+    at_end = known.equations
+    equations = RealViewsEquations(at_end.cameras, (), at_end.cost_px2, at_end.prior_energy, at_end.scale_px)
     minimum: RealViewsMinimum = Minimum(
         estimate, equations, known.scale_px, known.kernel, known.n_iterations, known.is_converged, known.options
     )
@@ -107,15 +110,27 @@ def _settled_or(before: RealViewsSolve, freed: RealViewsSolve) -> RealViewsSolve
 def _with_pair_compared(solve: RealViewsSolve) -> RealViewsSolve:
     """Each camera alone against the pair, and what moved where the pair leaves more than chance; the board within its prior.
 
-    The kernel is opened for it: at its own scale it lets go of the corners of displaced views, and hides them.
+    The kernel is opened for it: at its own scale it lets go of the corners of displaced views, and hides them. Where it holds
+    almost all corners with full weight, nothing is hidden.
     """
-    problem, estimate = solve.problem, solve.minimum.estimate
-    equations = problem.linearize(estimate, OPENED * solve.minimum.scale_px, "hampel")
-    pair = compare_with_cameras_alone(problem, estimate, equations, solve.noise_px)
+    problem, estimate, minimum = solve.problem, solve.minimum.estimate, solve.minimum
+    if _holds_nearly_all(problem, minimum):
+        equations, together = minimum.equations, solve.reduced
+    else:
+        equations, together = problem.linearize(estimate, OPENED * minimum.scale_px, "hampel"), None
+    pair = compare_with_cameras_alone(problem, estimate, equations, solve.noise_px, together)
     motion = None
     if pair.excess > LEAST_T:  # T is never larger
         motion = measure_pair_motion(problem, estimate, equations, pair)
     return replace(solve, pair=pair, motion=motion)
+
+
+def _holds_nearly_all(problem: RealViewsProblem, minimum: RealViewsMinimum) -> bool:
+    """Whether the kernel lessens no more corners than it does of pure noise."""
+    limit2 = (robust.HAMPEL_FLAT * float(minimum.scale_px)) ** 2
+    n_lessened = sum(int(np.count_nonzero(r2 > limit2)) for r2 in minimum.equations.r2_px2)
+    n_seen = sum(int(np.count_nonzero(c.is_seen)) for c in problem.cameras)
+    return minimum.kernel == "hampel" and n_lessened < LESSENED_SHARE * n_seen
 
 
 def _compared_after(solve: RealViewsSolve) -> RealViewsSolve:
@@ -179,12 +194,16 @@ def _looks_bent(solve: RealViewsSolve, model: ShapeModel) -> bool:
     """Whether the board's shape is worth a closer look; information from some of the views, scores from all."""
     minimum, problem = solve.minimum, solve.problem
     some = _some_views(len(minimum.estimate.deviations))
-    weak, estimate = replace(problem, shape_information=model.weak_information()).of_views(minimum.estimate, some)
-    equations = weak.linearize(estimate, minimum.scale_px, minimum.kernel)
+    part, estimate = problem.of_views(minimum.estimate, some)
+    equations = part.linearize(estimate, minimum.scale_px, minimum.kernel, with_points=True)
+    own = sum((e.information.sum(axis=0) for e in equations.points), np.zeros((6, 1)))
+    equations = replace(equations, points=tuple(e.in_modes(model.modes) for e in equations.points))
+    reduced = part.reduced(estimate, equations, of_views=False)
     score = problem.points_gradient(minimum.estimate, minimum.scale_px, minimum.kernel)
-    n_seen = [sum(int(c.is_seen.sum()) for c in p.cameras) for p in (weak, problem)]
+    n_seen = [sum(int(c.is_seen.sum()) for c in p.cameras) for p in (part, problem)]
+    taken = 3 * len(some) / n_seen[0]  # six of two coordinates a corner
     share = n_seen[0] / n_seen[1]
-    return doubt_flatness(model, weak.reduced(estimate, equations), score, share, solve.noise_px).is_any
+    return doubt_flatness(model, reduced, own, score, solve.noise_px, share=share, taken=taken).is_any
 
 
 def _some_views(n_views: int) -> Int[ndarray, "k"]:

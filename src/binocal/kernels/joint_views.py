@@ -43,8 +43,8 @@ class StereoSums:
     is_determined: ndarray
     information: Float[ndarray, "z z"]
     gradient: Float[ndarray, "z"]
-    view_information: Float[ndarray, "V k k"]
-    view_scores: Float[ndarray, "V z"]
+    view_information: Float[ndarray, "told k k"]
+    view_scores: Float[ndarray, "told z"]
 
 
 def reduce_stereo(
@@ -52,10 +52,13 @@ def reduce_stereo(
     steps: PoseSteps,
     points: tuple[PointEquations, PointEquations] | None = None,
     growth: float = 1.0,
+    *,
+    of_views: bool = True,
 ) -> StereoSums:
     """Eliminate every view's board pose, and its deviation if there is one, from the equations of both cameras.
 
-    ``grams`` and ``points`` come from :func:`accumulate_with_points`. Diagonals are multiplied by ``growth``.
+    ``grams`` and ``points`` come from :func:`accumulate_with_points`; ``points`` may be combinations of their coordinates, without
+    information of their own. Diagonals are multiplied by ``growth``. The views' own sums are empty unless ``of_views``.
     """
     left, right = grams
     V, k = len(left), left.shape[-1] + right.shape[-1] - 8
@@ -65,7 +68,8 @@ def reduce_stereo(
     inverse_L, padded = np.empty((V, P, P)), np.empty((rows, stride))
     own, determined = np.empty((V, 2, P)), np.empty(V)
     information, gradient = np.empty((z, z)), np.empty(z)
-    view_information, view_scores = np.empty((V, k, k)), np.empty((V, z))
+    n_told = V if of_views else 0
+    view_information, view_scores = np.empty((n_told, k, k)), np.empty((n_told, z))
     given = _kernel.StereoViews(
         left=as_floats(left),
         right=as_floats(right),

@@ -39,12 +39,18 @@ class PointEquations:
     """What the board's own points add to the normal equations of one camera's views.
 
     ``coupling`` holds the weighted products of the columns of :class:`ViewEquations` with the derivatives by each point's step
-    along the board's axes; its last row is the points' gradient. ``information`` are the points' own 3 x 3 matrices: xx, xy, xz,
-    yy, yz, zz.
+    along the board's axes, or with combinations of them (:meth:`in_modes`); its last row is the points' gradient. ``information``
+    are the points' own 3 x 3 matrices: xx, xy, xz, yy, yz, zz.
     """
 
-    coupling: Float[ndarray, "*batch views q 3 n"]
+    coupling: Float[ndarray, "*batch views q axes columns"]
     information: Float[ndarray, "*batch views 6 n"]
+
+    def in_modes(self, modes: Float[ndarray, "m r"]) -> PointEquations:
+        """The coupling with combinations of the points' coordinates, as (views, q, 1, r); their own information is left out."""
+        *shape, _, n = self.coupling.shape
+        coupling = self.coupling.reshape(-1, 3 * n) @ modes
+        return PointEquations(coupling.reshape(*shape, 1, -1), self.information[..., :0])
 
 
 def accumulate(

@@ -21,16 +21,20 @@ def first_of_copies(detections: Detections) -> Int[ndarray, "views"]:
 
 def different_poses(detections: Detections, limit_px: float) -> Bool[ndarray, "views"]:
     """Which views show the board elsewhere than every view before them: their corners differ by more than a limit (RMS)."""
-    px = np.concatenate([detections.left_px, detections.right_px], axis=1).reshape(detections.n_views, -1)
+    px = np.concatenate([detections.left_px, detections.right_px], axis=1)
+    px, known = px.reshape(len(px), -1), np.isfinite(px).reshape(len(px), -1)
+    filled = np.where(known, px, 0.0)
+    counts = np.maximum(known.sum(axis=1), 1)
+    centre, height = filled.sum(axis=1) / counts, filled[:, 1::2].sum(axis=1) / counts
     is_new = np.ones(len(px), dtype=bool)
-    centre = np.nanmean(np.where(np.isfinite(px), px, np.nan), axis=1) if px.size else np.zeros(len(px))
     order = np.argsort(centre, kind="stable")
     for rank, view in enumerate(order):
-        for other in order[max(rank - len(order), 0) : rank][::-1]:
+        for other in order[:rank][::-1]:
             if centre[view] - centre[other] > limit_px:
                 break
-            difference = px[view] - px[other]
-            known = np.isfinite(difference)
-            if known.any() and np.sqrt(np.mean(difference[known] ** 2)) < limit_px:
+            if abs(height[view] - height[other]) > limit_px:
+                continue
+            both = known[view] & known[other]
+            if both.any() and np.mean((px[view] - px[other])[both] ** 2) < limit_px**2:
                 is_new[max(view, other)] = False
     return is_new

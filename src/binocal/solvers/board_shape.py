@@ -25,6 +25,7 @@ START_SHARES = (0.003, 0.003, 0.003, 0.003, 0.001)
 LEAST_SHARE = 1e-6  # of the pitch: a standard deviation below is none
 CORRELATION_LENGTH = 0.5  # of the board's longer side
 MAX_ITERATIONS = 30
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # places of a 3 x 3 matrix among xx, xy, xz, yy, yz, zz
 TOLERANCE = 0.1  # of -2 log likelihood: a variance moves by less than a third of its standard deviation
 MAX_COORDINATES = 150  # that a variance is estimated from: more know it no better than the rig needs
 DOUBT_BOW, DOUBT_AFFINE, DOUBT_SMOOTH = 18.0, 16.0, 48.0
@@ -295,41 +296,49 @@ class ShapeDoubt:
 
 
 def doubt_flatness(
-    model: ShapeModel, reduced: ReducedSystem, score: Float[ndarray, "m"], share: float, noise_px: float
+    model: ShapeModel,
+    reduced: ReducedSystem,
+    own: Float[ndarray, "6 n"],
+    score: Float[ndarray, "m"],
+    noise_px: float,
+    *,
+    share: float,
+    taken: float,
 ) -> ShapeDoubt:
     """A cheap look at a board's shape: score tests at the minimum with the board as drawn.
 
-    ``score`` is the reduced gradient of the points over all views; ``reduced`` the equations of some of them, which hold ``share`` of
-    all corners. A weak prior of the points counts in ``reduced``.
+    ``reduced`` are the equations of some of the views, which hold ``share`` of all corners, with the model's modes for points;
+    ``own`` is the information that they have of each point (xx, xy, xz, yy, yz, zz), of which the views' poses take the part ``taken``
+    away. ``score`` is the reduced gradient of the points over all views.
     """
     k = reduced.n_shared
     A = reduced.information
     modes, n_bow, n_affine = model.modes, 3, model.n_affine
-    coupling = A[:k, k:] @ modes
-    information = modes.T @ (A[k:, k:] - reduced.prior[k:, k:]) @ modes
-    information -= coupling.T @ solve_symmetric(A[:k, :k], coupling)
+    information = A[k:, k:] + _sandwich(modes, own)
+    information -= A[k:, :k] @ solve_symmetric(A[:k, :k], A[:k, k:])
     information *= noise_px**2 / share
     found = modes.T @ score
 
     def length2(part: slice) -> float:
         return float(found[part] @ solve_symmetric(information[part, part], found[part]))
 
-    own = score.reshape(3, -1)
-    points = _own_information(A[k:, k:] - reduced.prior[k:, k:]) * noise_px**2 / share
+    each = score.reshape(3, -1)
+    points = (1 - taken) * noise_px**2 / share * own[_SYMMETRIC].transpose(2, 0, 1)
     points = points + 1e-9 * np.trace(points, axis1=1, axis2=2).mean() * np.eye(3)
-    each = np.einsum("in,nij,jn->", own, np.linalg.inv(points), own) / own.size
+    mean2 = np.einsum("in,nij,jn->", each, np.linalg.inv(points), each) / each.size
     return ShapeDoubt(
         length2(slice(0, n_bow)),
         length2(slice(n_bow, n_bow + n_affine)),
         length2(slice(0, None)),
-        float((each - 1) / np.sqrt(2 / own.size)),
+        float((mean2 - 1) / np.sqrt(2 / each.size)),
     )
 
 
-def _own_information(A: Float[ndarray, "m m"]) -> Float[ndarray, "n 3 3"]:
-    n = len(A) // 3
-    index = np.arange(n)
-    return np.stack([np.stack([A[a * n + index, b * n + index] for b in range(3)], axis=-1) for a in range(3)], axis=-2)
+def _sandwich(modes: Float[ndarray, "m r"], own: Float[ndarray, "6 n"]) -> Float[ndarray, "r r"]:
+    """modesᵀ B modes for the points' 3 x 3 blocks B."""
+    axes = modes.reshape(3, -1, modes.shape[1])
+    weighted = sum(own[_SYMMETRIC[:, axis], :, None] * axes[axis] for axis in range(3))
+    return modes.T @ np.asarray(weighted).reshape(modes.shape)
 
 
 def estimate_variances(

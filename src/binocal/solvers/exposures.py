@@ -67,13 +67,21 @@ def with_deviations(
 
 
 def compare_with_cameras_alone(
-    problem: RealViewsProblem, estimate: RealViewsEstimate, equations: RealViewsEquations, noise_px: float
+    problem: RealViewsProblem,
+    estimate: RealViewsEstimate,
+    equations: RealViewsEquations,
+    noise_px: float,
+    together: ReducedSystem | None = None,
 ) -> PairFit:
-    """Both noises from one linearisation of a problem without deviations; priors are weighed against ``noise_px``."""
+    """Both noises from one linearisation of a problem without deviations; priors are weighed against ``noise_px``.
+
+    ``together`` are the same equations reduced, where they are known already.
+    """
     weighed = replace(equations, scale_px=np.asarray(noise_px))
-    together = problem.reduced(estimate, weighed)
+    if together is None:
+        together = problem.reduced(estimate, weighed, of_views=False)
     free = with_deviations(problem, estimate, (FREE_SHARE, FREE_SHARE * board_size(problem)))
-    apart = free.reduced(estimate, weighed)
+    apart = free.reduced(estimate, weighed, of_views=False)
     total = squares(weighed)
     is_rig_free = problem.nominal.is_rig_free and problem.nominal.held_part is None
     pair = total - fall_of_squares(together)

@@ -31,6 +31,7 @@ NULL_SIGMAS, SURE_SIGMAS = 3.0, 5.0
 """Between so many standard deviations of what independent noise leaves, the jackknife gains its say; below it has none."""
 POOLED_VIEWS = 2.0  # that the ratio common to all directions is worth beside a direction's own
 FEW_VIEWS = 10  # below, a jackknife's sigma is that of Student's t
+TRACED_VIEWS = 40  # of more, an even selection
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +90,8 @@ def excess_of_scores(reduced: ReducedSystem, noise_px: float) -> tuple[float, fl
     """Variance of the views' scores over that of independent noise, and the standard deviation of that ratio under such noise.
 
     With G_v a view's share of the information in the metric of all, its score has covariance C_v = G_v - G_v² there; the squares of
-    all views add up to the sum of the traces of C_v, with variance 2 tr C_v² each.
+    all views add up to the sum of the traces of C_v, with variance 2 tr C_v² each. Of many views some stand for all in the
+    traces of higher powers, which are small then.
     """
     k = reduced.n_shared
     own = reduced.view_information
@@ -97,11 +99,16 @@ def excess_of_scores(reduced: ReducedSystem, noise_px: float) -> tuple[float, fl
     scale = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
     values, vectors = np.linalg.eigh(total * scale[:, None] * scale)
     root = (vectors / np.sqrt(np.maximum(values, 1e-15 * values[-1]))).T * scale  # root total rootᵀ = 1
-    G = root @ own @ root.T
-    C = G - G @ G
+    inverse = root.T @ root
+    some = own if len(own) <= TRACED_VIEWS else own[np.linspace(0, len(own) - 1, TRACED_VIEWS).round().astype(int)]
+    B = (some.reshape(-1, k) @ inverse).reshape(some.shape)  # as G in another metric: traces of powers are the same
+    B2 = B @ B
     squares = float(np.sum((reduced.view_scores[:, :k] @ root.T) ** 2))
-    expected = float(np.einsum("vii->", C))
-    scatter = float(np.sqrt(2 * np.sum(C * C)))
+    second, third, fourth = (
+        float(np.einsum("vij,vji->", a, b)) * len(own) / len(some) for a, b in ((B, B), (B2, B), (B2, B2))
+    )
+    expected = float(np.vdot(own.sum(axis=0), inverse)) - second
+    scatter = float(np.sqrt(2 * max(second - 2 * third + fourth, 0.0)))
     return squares / expected / noise_px**2, scatter / expected
 
 

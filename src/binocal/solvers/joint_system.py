@@ -74,9 +74,9 @@ class ReducedSystem:
     prior: Float[ndarray, "z z"]
     prior_gradient: Float[ndarray, "z"]
     is_determined: Bool[ndarray, "V"]
-    view_information: Float[ndarray, "V k k"]
-    """Every view's information about cameras and rig, its own unknowns eliminated, board points held."""
-    view_scores: Float[ndarray, "V z"]
+    view_information: Float[ndarray, "told k k"]
+    """Every view's information about cameras and rig, its own unknowns eliminated, board points held; none where nobody asked."""
+    view_scores: Float[ndarray, "told z"]
     """Every view's own gradient of all shared unknowns, its own unknowns eliminated."""
 
     @property

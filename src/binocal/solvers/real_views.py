@@ -215,13 +215,18 @@ class RealViewsProblem:
         return np.repeat(self.deviation_sigma, 3)
 
     def linearize(
-        self, estimate: RealViewsEstimate, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
+        self,
+        estimate: RealViewsEstimate,
+        scale_px: Float[ndarray, "*batch"],
+        kernel: robust.Kernel,
+        *,
+        with_points: bool = False,
     ) -> RealViewsEquations:
-        """Residuals and normal equations of both cameras at an estimate."""
+        """Residuals and normal equations of both cameras at an estimate, those of the board's points where they are free or wanted."""
         cameras, points = [], []
         for c, p, T in zip(self.cameras, estimate.bundle.parameters, self.camera_poses(estimate), strict=True):
             given = (p, T.R, T.t, estimate.points, c.pixels, c.is_seen, scale_px, kernel, c.is_free, c.whitening)
-            if self.shape_information is None:
+            if self.shape_information is None and not with_points:
                 cameras.append(accumulate(c.model.name, *given))
             else:
                 equations, coupling = accumulate_with_points(c.model.name, *given)
@@ -265,8 +270,8 @@ class RealViewsProblem:
             precision = weight / self._deviation_scale**2
             own[:, range(6, 12), range(6, 12)] += precision
             own_gradient[:, 6:] -= precision * estimate.deviations
-        m = 0 if self.shape_information is None else self.shape_information.shape[0]
-        coupling, information = np.zeros((V, k + P + 1, m)), np.zeros((V, 6, m // 3))
+        m = int(np.prod(equations.points[0].coupling.shape[2:])) if equations.points else 0
+        coupling, information = np.zeros((V, k + P + 1, m)), np.zeros((V, 6, 0))
         if m:
             for E, e in zip((E_left, E_right), equations.points, strict=True):
                 flat = e.coupling.reshape(V, e.coupling.shape[1], m)
@@ -323,8 +328,10 @@ class RealViewsProblem:
             gradient[k:] = -self.shape_information @ offset
         return information, gradient
 
-    def reduced(self, estimate: RealViewsEstimate, equations: RealViewsEquations, growth: float = 1.0) -> ReducedSystem:
-        """The shared equations, views eliminated."""
+    def reduced(
+        self, estimate: RealViewsEstimate, equations: RealViewsEquations, growth: float = 1.0, *, of_views: bool = True
+    ) -> ReducedSystem:
+        """The shared equations, views eliminated; what each view tells on its own may be left out."""
         if self.nominal.free_directions(estimate.bundle) is not None or not self.nominal.is_rig_free:
             return reduce(self.system(estimate, equations), growth)
         weight = float(equations.scale_px) ** 2
@@ -334,10 +341,9 @@ class RealViewsProblem:
             precision = weight / self._deviation_scale**2
             pull = -precision * estimate.deviations
         left, right = equations.cameras
-        points = None
-        if self.shape_information is not None:
-            points = (equations.points[0], equations.points[1])
-        sums = reduce_stereo((left.gram, right.gram), PoseSteps(rig, board, deviation, precision, pull), points, growth)
+        points = (equations.points[0], equations.points[1]) if equations.points else None
+        steps = PoseSteps(rig, board, deviation, precision, pull)
+        sums = reduce_stereo((left.gram, right.gram), steps, points, growth, of_views=of_views)
         k = left.gram.shape[-1] + right.gram.shape[-1] - 8
         prior, prior_gradient = self._prior(estimate, None, len(sums.gradient) - k)
         prior, prior_gradient = weight * prior, weight * prior_gradient

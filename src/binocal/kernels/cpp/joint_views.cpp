@@ -21,7 +21,8 @@ constexpr double kTiny = 1e-300;
 constexpr double kLeastPivot = 1e-12;  // of an equilibrated view: below, its corners do not determine its unknowns
 
 // Arrays of V views: gram (V, q, q); T_rig, T_pose, T_deviation (V, 6, 6): the right camera's own pose step from one of the rig, of the
-// board and of the deviation; coupling (V, q, m) and information (V, 6, n), or empty; precision (6) and pull (V, 6) of the
+// board and of the deviation; coupling (V, q, m), or empty, and information (V, 6, n) with m = 3 n, or empty where the m columns are combinations of
+// the points' coordinates, whose own information the caller adds; precision (6) and pull (V, 6) of the
 // deviations' prior, or empty.
 struct StereoViews {
     Doubles left, right, T_rig, T_pose, T_deviation, left_coupling, right_coupling, left_points, right_points, precision, pull;
@@ -77,7 +78,7 @@ struct ViewScratch {
 };
 
 // The view's equations in the solver's unknowns.
-void assemble(const Job& job, std::size_t view, ViewScratch& s) {
+BINOCAL_INLINE void assemble(const Job& job, std::size_t view, ViewScratch& s) {
     const int P = job.P, k = job.k, z = job.z, nl = job.n_left, nr = job.n_right, ql = job.q_left, qr = job.q_right;
     const double *GL = job.at(job.in.left, view, ql * ql), *GR = job.at(job.in.right, view, qr * qr);
     const double *T_rig = job.at(job.in.T_rig, view, 36), *T_pose = job.at(job.in.T_pose, view, 36);
@@ -171,7 +172,7 @@ void assemble(const Job& job, std::size_t view, ViewScratch& s) {
 }
 
 // Eliminates the view's own unknowns; false where its corners do not determine them.
-bool eliminate_own(const Job& job, std::size_t view, ViewScratch& s) {
+BINOCAL_INLINE bool eliminate_own(const Job& job, std::size_t view, ViewScratch& s) {
     const int P = job.P, z = job.z;
     double* own_out = job.out.own.data() + view * 2 * P;
     double scale[kMaxOwn], *inverse = job.out.inverse_L.data() + view * P * P;
@@ -218,7 +219,7 @@ BINOCAL_INLINE void write_couplings(const Job& job, std::size_t view, const View
     }
 }
 
-void one_view(const Job& job, std::size_t view, ViewScratch& s, std::vector<double>& rows) {
+BINOCAL_INLINE void one_view(const Job& job, std::size_t view, ViewScratch& s, std::vector<double>& rows) {
     assemble(job, view, s);
     const bool is_determined = eliminate_own(job, view, s);
     job.out.determined.data()[view] = is_determined;
@@ -243,6 +244,15 @@ void one_view(const Job& job, std::size_t view, ViewScratch& s, std::vector<doub
         }
     }
 }
+
+template <int lanes>
+BINOCAL_INLINE void views(const Job& job, std::size_t first, std::size_t last) {
+    ViewScratch s(job);
+    std::vector<double> rows;
+    for (std::size_t view = first; view < last; ++view) one_view(job, view, s, rows);
+}
+
+BINOCAL_DISPATCH(each_view, Job, (views<lanes>(task, first, last)))
 
 // The sums of the shared equations over all determined views, before the views are eliminated.
 void sum_shared(const Job& job) {
@@ -295,7 +305,7 @@ void sum_shared(const Job& job) {
         const double *il = job.at(job.in.left_points, view, 6 * n), *ir = job.at(job.in.right_points, view, 6 * n);
         for (std::size_t c = 0; c < 6 * n; ++c) own[c] += il[c] + ir[c];
     }
-    for (int a = 0, entry = 0; a < 3 && m > 0; ++a) {
+    for (int a = 0, entry = 0; a < 3 && n > 0; ++a) {
         for (int b = a; b < 3; ++b, ++entry) {
             for (std::size_t j = 0; j < n; ++j) H[(k + a * n + j) * z + k + b * n + j] = own[entry * n + j];
         }
@@ -332,8 +342,8 @@ void reduce_stereo(const StereoViews& in, const ReducedViews& out, std::size_t n
     const std::size_t V = in.left.shape(0);
     const int ql = static_cast<int>(in.left.shape(1)), qr = static_cast<int>(in.right.shape(1));
     require(ql >= 7 && qr >= 7 && in.left.size() == V * ql * ql && in.right.size() == V * qr * qr, "Gram matrices are square");
-    const bool has_points = in.left_points.size() > 0, deviates = in.T_deviation.size() > 0;
-    const std::size_t n = has_points && V > 0 ? in.left_points.size() / (6 * V) : 0, m = 3 * n;
+    const bool deviates = in.T_deviation.size() > 0;
+    const std::size_t n = V > 0 ? in.left_points.size() / (6 * V) : 0, m = V > 0 ? in.left_coupling.size() / (V * ql) : 0;
     Job job{in, out, V, n, m, 0, ql, qr, ql - 7, qr - 7, ql + qr - 8, 0, deviates ? kMaxOwn : kPose};
     job.z = job.k + static_cast<int>(m);
     const int rows = (job.z + 1 + 3) / 4 * 4;
@@ -343,7 +353,7 @@ void reduce_stereo(const StereoViews& in, const ReducedViews& out, std::size_t n
             "one 6 x 6 matrix for each view");
     require(!deviates || (in.precision.size() == kPose && in.pull.size() == kPose * V), "a precision and pulls of deviations");
     require(in.left_points.size() == 6 * n * V && in.right_points.size() == 6 * n * V && in.left_coupling.size() == V * ql * m &&
-                in.right_coupling.size() == V * qr * m,
+                in.right_coupling.size() == V * qr * m && (n == 0 || m == 3 * n),
             "points do not match the views");
     require(out.inverse_L.size() == V * P * P && out.Y.size() == rows * job.stride && out.own.size() == 2 * V * P &&
                 out.determined.size() == V && out.information.size() == z * z && out.gradient.size() == z,
@@ -351,11 +361,7 @@ void reduce_stereo(const StereoViews& in, const ReducedViews& out, std::size_t n
     require(out.h.size() == 0 || (out.h.size() == V * job.k * job.k && out.scores.size() == V * z), "an output has the wrong size");
     nb::gil_scoped_release unlocked;
     std::fill_n(out.Y.data(), out.Y.size(), 0.0);
-    in_parallel(V, n_threads, [&](std::size_t first, std::size_t last) {
-        ViewScratch s(job);
-        std::vector<double> couplings;
-        for (std::size_t view = first; view < last; ++view) one_view(job, view, s, couplings);
-    });
+    in_parallel(V, n_threads, [&](std::size_t first, std::size_t last) { each_view(job, first, last); });
     sum_shared(job);
     std::vector<double> block(static_cast<std::size_t>(rows) * rows);
     const Syrk task{out.Y.data(), job.stride, rows, block.data()};
