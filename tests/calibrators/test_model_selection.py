@@ -212,7 +212,12 @@ def test_a_model_without_rays_needs_more_to_win_and_loses_where_it_is_equal():
     assert chosen_of(trial("brown4", 0.14), trial("brown5", share=0.1)) == "brown5"
     assert chosen_of(trial("brown4", share=0.1), trial("brown5")) == "brown5"
     assert chosen_of(trial("brown4", share=0.1), trial("brown5", share=0.08)) == "brown4"
-    assert chosen_of(trial("brown4", share=0.1), trial("brown5", 0.03)) == "brown4"
+    assert chosen_of(trial("brown4", share=0.03), trial("brown5", 0.03)) == "brown4"
+
+
+def test_a_model_that_lacks_rays_for_much_of_the_image_loses_where_it_is_hardly_better():
+    assert chosen_of(trial("brown4", share=0.1), trial("brown5", 0.03)) == "brown5"
+    assert chosen_of(trial("brown4", share=0.1), trial("brown5", 0.3)) == "brown4"
 
 
 def test_a_strong_lens_takes_the_model_with_fewer_coefficients():

@@ -188,6 +188,15 @@ def test_left_lists_shifted_by_a_column_or_row_are_refused(step):
         calibrate(replace(detections, left_px=left), model="brown4")
 
 
+@pytest.mark.parametrize("seed", [6, 11, 22])
+def test_motion_that_shifted_lists_would_lessen_is_called_motion(seed):
+    views = Recording(seed, n_views=10)
+    views.in_right += 0.15 * 0.03 * views.rng.normal(0, 1, (10, 1, 3))
+    with pytest.raises(CalibrationError) as error:
+        calibrate(views.corners(), model="brown4")
+    assert {found.code for found in error.value.findings} == {"pairs-not-together"}
+
+
 @pytest.mark.parametrize("factor", [1000.0, 1e-3])
 def test_millimetres_for_metres_are_doubted(factor):
     detections = Recording(10).corners()

@@ -159,7 +159,10 @@ FAULTS: dict[str, tuple[Callable[[_Set], None], tuple[str, ...]]] = {
     ),
     "not together, 1-5 % of a square": (_untriggered(1, 5), ("exposures-apart", "pairs-not-together")),
     "not together, 5-20 % of a square": (_untriggered(5, 20), ("exposures-apart", "pairs-not-together")),
-    "not together in a fifth of the views": (_untriggered(5, 20, 0.2), ("exposures-apart",)),
+    "not together in a fifth of the views": (
+        _untriggered(5, 20, 0.2),
+        ("exposures-apart", "many-views-left-out", "changed-from-view"),
+    ),
     "board bowed 5 % of a square": (_bent(0.05), ("board-not-as-drawn",)),
     "board stretched 1 %": (_stretched(0.01), ("board-not-as-drawn",)),
 }

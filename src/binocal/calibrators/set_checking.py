@@ -16,6 +16,7 @@ from binocal.set_checks.copies import different_poses, first_of_copies
 from binocal.set_checks.shifted_lists import find_shift
 
 SAME_POSE_SIGMAS = 3 * np.sqrt(2)  # of corner noise between two views: below, they are one pose measured twice
+SHIFTED_LEAVES = 5.0  # times the noise with exposures freed; what leaves more is motion that a shift resembles
 FEW_POSES_SHARE = 0.6  # of the views
 
 
@@ -38,7 +39,7 @@ def without_copies(detections: Detections) -> tuple[Detections, tuple[RejectedVi
 def refuse_shifted_lists(calibration: StereoCalibration, solve: RealViewsSolve) -> None:
     """Raises InconsistentViewsError: one camera's corner lists are off by a row or column in all views."""
     shift = find_shift(solve.problem.nominal, solve.nominal_bundle, solve.nominal_noise_px)
-    if shift is None:
+    if shift is None or shift.noise_px > SHIFTED_LEAVES * solve.noise_px:
         return
     found = finding(
         "corner-lists-shifted",
