@@ -166,6 +166,17 @@ EXPLANATIONS = {
     "aprilgrid-gap-wrong": """
         Kalibr's files and many printed boards differ in what they call the spacing of the tags. The board's points are estimated
         along with the rig; where their pattern is that of another gap, the sentence gives the gap that fits.""",
+    "principal-points-near-middle": """
+        Through a telephoto lens a shift of the principal point moves the image almost as a turn of the camera does, with a
+        little of the distortion in between. The views then leave the principal points open by a tenth of the image and more,
+        in a way that standard deviations do not describe. Lenses sit near the middle of their sensors, so that this is counted
+        as knowledge. It moves rectified rows and depth by no more than they are uncertain anyway. Images that were cropped out
+        of larger ones have their principal points elsewhere: calibrate the whole images then.""",
+    "images-differ-in-noise": """
+        Blur, motion, light and distance make the corners of one image many times noisier than those of another. The noise of
+        each image is estimated from what a smooth map leaves of its residuals after the first steps of the solve; from then on
+        its corners count accordingly. Corners that come with covariances need no such estimate. Nothing is wrong with the
+        result; as sharp images of all views would make it better.""",
     "board-not-as-drawn": """
         No print is flat and to size. A bow or a stretch that the board was not drawn with moves corners alike in all views, so
         it can be separated from the cameras, and binocal estimates every point of the board along with the rig. The note comes

@@ -356,6 +356,19 @@ _KINDS = (
         "reuse the board with --board-file, or mount it on something flat and stiff",
     ),
     # --- views
+    FindingKind(
+        "principal-points-near-middle", _N, "Principal points that the views hardly tell were taken to lie near the middle",
+        "through lenses this long the views hardly tell where the principal points lie: they were taken to lie near the middle of "
+        "the images, within {share_percent:.0f} % of their size (one standard deviation); what follows from that is in the "
+        "standard deviations.",
+        "",
+    ),
+    FindingKind(
+        "images-differ-in-noise", _N, "Corners of some images are much noisier than those of others",
+        "corner noise is {least_px:.2g} px in the {least_camera} image of view {least_view} and {most_px:.2g} px in the "
+        "{most_camera} one of view {most_view}: each image counts by its own.",
+        "",
+    ),
     FindingKind("view-without-corners", _N, "A view without corners", "no corners in either camera", ""),
     FindingKind(
         "view-off-grid", _N, "A view whose corners are no image of the board",

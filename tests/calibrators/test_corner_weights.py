@@ -46,7 +46,7 @@ def errors_of(calibration, rig):
 
 @pytest.mark.slow
 def test_weighted_errors_sit_on_the_weighted_bound_and_are_covered():
-    # 100 rigs x 6 figures: the RMS scatters by 4 %; measured 0.99 (2.3 with all corners alike), coverage 68.7 and 95.7 %
+    # 100 rigs x 6 figures: the RMS scatters by 4 %; measured 0.99 (1.5 where only the images' noise is told), coverage 68.7 and 95.7 %
     rng, rig = np.random.default_rng(5), table2_rig()
     ratios, plain_ratios, standardised = [], [], []
     for trial in range(100):
@@ -64,7 +64,7 @@ def test_weighted_errors_sit_on_the_weighted_bound_and_are_covered():
             plain = calibrate(without_covariances(detections), model=rig.left.model)
             plain_ratios.append(errors_of(plain, rig) / [bound[name] for name in NAMES])
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1, abs=0.12)
-    assert np.sqrt(np.mean(np.square(plain_ratios))) > 1.6
+    assert np.sqrt(np.mean(np.square(plain_ratios))) > 1.3
     assert np.mean(np.abs(standardised) < 1) == pytest.approx(0.683, abs=0.04)
     assert np.mean(np.abs(standardised) < 2) == pytest.approx(0.954, abs=0.025)
 
@@ -76,7 +76,7 @@ def test_blurred_corners_are_no_outliers_and_the_weights_are_stated():
     assert sum(view.n_outliers for view in weighted.views) == 0 < sum(view.n_outliers for view in plain.views)
     stated = weighted.provenance["corner_weights"]
     assert stated["covariances"] is True and stated["misfit_px"] == weighted.evidence.misfit_px < 0.005
-    assert plain.provenance["corner_weights"] == {"covariances": False, "misfit_px": 0.0}
+    assert plain.provenance["corner_weights"] == {"covariances": False, "image_noise": True, "misfit_px": 0.0}
     # residuals are pixels whatever the weights: the blurred half's 0.06 px times 1.4 and 0.7 dominates
     assert weighted.rms.all_px == pytest.approx(0.07, rel=0.1)
     assert weighted.noise_px < 0.02

@@ -52,7 +52,7 @@ def stuck_minimizer(turn_rad, *, is_converged):
 @pytest.mark.parametrize("is_converged", [True, False])
 def test_a_second_start_saves_a_solve_that_ended_in_a_worse_minimum(is_converged):
     _, problem, start = make_case()
-    best, _ = joint._solve(stuck_minimizer(0.05, is_converged=is_converged), problem, start)
+    best, _ = joint.RobustSolver(stuck_minimizer(0.05, is_converged=is_converged)).solve(problem, start)
     expected = minimize(problem, start)
     assert bool(best.is_converged)
     np.testing.assert_allclose(best.estimate.T_right_left.R, expected.estimate.T_right_left.R, atol=1e-5)
@@ -65,7 +65,7 @@ def test_a_second_start_that_is_worse_changes_nothing(monkeypatch):
     sole = replace(
         good, is_converged=np.asarray(True), scale_px=good.scale_px / 50
     )  # few corners carry weight: try again
-    best, _ = joint._solve(lambda *args, **kwargs: sole, problem, start)
+    best, _ = joint.RobustSolver(lambda *args, **kwargs: sole).solve(problem, start)
     assert best is sole
 
 
@@ -81,7 +81,9 @@ def test_convergence_counts_before_cost():
 def test_a_clean_set_must_converge_and_fit_evenly(monkeypatch):
     detections, _, _ = make_case(10)
     assert joint._calibrate_clean(detections, REQUEST, minimize) is not None
-    assert joint._calibrate_clean(detections, REQUEST, unfinished) is None
+    with monkeypatch.context() as patched:
+        patched.setattr(joint, "minimize", unfinished)
+        assert joint._calibrate_clean(detections, REQUEST, unfinished) is None
     monkeypatch.setattr(acceptance, "fits_evenly", lambda *figures: False)
     assert joint._calibrate_clean(detections, REQUEST, minimize) is None
 

@@ -5,9 +5,8 @@ Closed-form start, view diagnosis, joint robust solve, acceptance. Calibrators d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -31,12 +30,19 @@ from binocal.shapes import Float
 from binocal.solvers import robust
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.covariance import inliers
-from binocal.solvers.minimization import RESUMED_DAMPING, START_DAMPING, LoopOptions, minimize
+from binocal.solvers.image_noise import with_image_noise
+from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, minimize
 from binocal.solvers.pixel_locking import locking_at, locking_findings
 from binocal.solvers.polish import polish_exact
+from binocal.solvers.principal_points import with_centre_prior
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
 CLEAN_OUTLIER_SHARE = 0.01  # Gaussian noise leaves none, a good real set a few in a thousand
+PATIENT = LoopOptions(max_iterations=25, tolerance_sigma=0.1, initial_damping=1e-7, is_patient=True)
+VALLEY_FALL = (
+    30.0  # of the cost in squares of the noise: less, and the ordinary loop, still at it, creeps along a valley
+)
+FIRST_ITERATIONS = 6  # with all corners alike; enough to tell the noise of images
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
 EXACT_SCALES = 1.5  # of the floor of the kernel's scale: corners without noise
 MISFIT_ROUNDS = 3  # the second usually finds nothing to change
@@ -138,7 +144,7 @@ def solve_diagnosed(
             raise TooFewViewsError(len(used), MIN_VIEWS, {r.name: r.reason for r in rejected})
         views = diagnosis.detections.select(used)
         start = _start(diagnosis, used) if start is None else start
-        problem, minimum, misfit_px, n, locking = solve_unlocked(views, request, start, partial(_solve, minimizer))
+        problem, minimum, misfit_px, n, locking = solve_unlocked(views, request, start, RobustSolver(minimizer))
         n_iterations += n
         doubts = _check_prior(views, request, _start(diagnosis, used), (problem, minimum))
         bad = _contradicting(views, problem, minimum) if minimum.is_converged else {}
@@ -171,7 +177,7 @@ def solve_clean(
         SE3.unchecked(start.R_right_left, start.t_right_left),
     )
     problem, minimum, misfit_px, n_iterations, locking = solve_unlocked(
-        detections, request, estimate, partial(_solve_clean, minimizer)
+        detections, request, estimate, RobustSolver(minimizer, is_clean=True)
     )
     if not minimum.is_converged or not _fits_evenly(problem, minimum, start.homography_px):
         return None
@@ -256,7 +262,7 @@ def _check_prior(
     if request.prior is None:
         return ()
     request.check_stop()
-    problem, minimum, _, _ = solve_with_misfit(views, replace(request, prior=None), start, partial(_solve, minimize))
+    problem, minimum, _, _ = solve_with_misfit(views, replace(request, prior=None), start, RobustSolver(minimize))
     return check_disagreement(disagreement(request.prior, known, (problem, minimum)))
 
 
@@ -292,81 +298,106 @@ def solve_unlocked(
     views: Detections,
     request: CalibrationRequest,
     start: BundleEstimate,
-    solve: Callable[..., tuple[BundleMinimum, int]],
+    solver: RobustSolver,
 ) -> tuple[BundleProblem, BundleMinimum, float, int, RigLocking]:
     """As :func:`solve_with_misfit`, from corners without their pixel locking, which is returned too.
 
     It is fitted to the residuals of the first minimum and once more to those of the minimum without it.
     """
-    problem, minimum, misfit_px, n_iterations = solve_with_misfit(views, request, start, solve)
+    problem, minimum, misfit_px, n_iterations = solve_with_misfit(views, request, start, solver)
     locking = RigLocking()
     for _ in range(LOCKING_ROUNDS):
         found = locking_at(problem, minimum, views) if minimum.is_converged else RigLocking()
         if not found.is_found:
             break
         locking = found
-        problem, minimum, misfit_px, n = solve_with_misfit(locking.corrected(views), request, minimum.estimate, solve)
+        problem, minimum, misfit_px, n = solve_with_misfit(locking.corrected(views), request, minimum.estimate, solver)
         n_iterations += n
     return problem, minimum, misfit_px, n_iterations, locking
 
 
 def solve_with_misfit(
-    views: Detections,
-    request: CalibrationRequest,
-    start: BundleEstimate,
-    solve: Callable[..., tuple[BundleMinimum, int]],
+    views: Detections, request: CalibrationRequest, start: BundleEstimate, solver: RobustSolver
 ) -> tuple[BundleProblem, BundleMinimum, float, int]:
     """The joint problem, its minimum, the misfit that its corner weights count, and the iterations it took.
 
-    All corners count alike at first: where the board or the lens model misfit, covariances alone would take half of the
-    corners for outliers. What the residuals exceed the covariances by is the misfit; with it the solve goes on from its
-    own end, until the misfit stands. ``solve`` takes problem, start, and the damping to begin with.
+    All corners count alike for the first steps. Then corners count by their covariances, or by the noise of their images where
+    images differ (:mod:`binocal.solvers.image_noise`). Where the board or the lens model misfit, covariances alone would take half
+    of the corners for outliers: what the residuals exceed them by is the misfit, which is large while the solve is far from its
+    end. With it the solve goes on from where it is, until the misfit stands.
     """
     plain = problem = joint_problem(views, request)
     if request.prior is not None:
         start = request.prior.with_held_values(start)
-    minimum, n_iterations = solve(problem, start)
-    misfit_px = 0.0
-    for attempt in range(MISFIT_ROUNDS if views.has_covariances else 0):
-        if not minimum.is_converged:
-            break
-        found_px = estimate_misfit_px(views, plain.residual_lengths2(minimum.estimate))
+    minimum = solver.first(plain, start)
+    if request.prior is None:
+        plain, minimum = with_centre_prior(plain, minimum, (views.left_size_wh, views.right_size_wh))
+    lengths2, misfit_px, n_iterations = minimum.equations.r2_px2, 0.0, int(minimum.n_iterations)
+    for attempt in range(MISFIT_ROUNDS):
+        weighed = with_image_noise(views, plain, minimum.estimate, lengths2)
+        if not weighed.has_covariances:
+            known = None if attempt else minimum
+            minimum, n = solver.solve(plain, start if known else minimum.estimate, known)
+            return plain, minimum, 0.0, n_iterations + n
+        found_px = estimate_misfit_px(weighed, lengths2)
         if attempt and abs(found_px**2 - misfit_px**2) < MISFIT_SHARE * float(minimum.scale_px) ** 2:
             break
         misfit_px = found_px
-        problem = joint_problem(views, request, corner_weights(views, misfit_px))
-        minimum, n = solve(problem, minimum.estimate, damping=RESUMED_DAMPING)
+        problem = replace(joint_problem(views, request, corner_weights(weighed, misfit_px)), terms=plain.terms)
+        minimum, n = solver.solve(problem, minimum.estimate)
         n_iterations += n
+        if not minimum.is_converged:
+            break
+        lengths2 = plain.residual_lengths2(minimum.estimate)
     return problem, minimum, misfit_px, n_iterations
 
 
-def _solve_clean(
-    minimizer: Minimizer, problem: BundleProblem, start: BundleEstimate, *, damping: float = START_DAMPING
-) -> tuple[BundleMinimum, int]:
-    minimum = minimizer(problem, start, LoopOptions(max_iterations=CLEAN_ITERATIONS, initial_damping=damping))
-    return minimum, int(minimum.n_iterations)
+@dataclass(frozen=True, slots=True)
+class RobustSolver:
+    """Minimises the joint problem from a start; of clean views the first minimum is taken for the right one, in few iterations."""
+
+    minimizer: Minimizer
+    is_clean: bool = False
+
+    def first(self, problem: BundleProblem, start: BundleEstimate) -> BundleMinimum:
+        """Where a few iterations lead; enough of them for ordinary sets."""
+        return self.minimizer(problem, start, LoopOptions(max_iterations=FIRST_ITERATIONS))
+
+    def solve(
+        self, problem: BundleProblem, start: BundleEstimate, known: BundleMinimum | None = None
+    ) -> tuple[BundleMinimum, int]:
+        """The robust optimum, and the iterations it took, those that led to the ``known`` minimum not counted.
+
+        The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails,
+        Cauchy's kernel, which never lets go of a corner, starts it a second time, and the lower robust cost wins: falling
+        cost alone does not prove the right minimum.
+        """
+        best, n_iterations = known, 0
+        if best is None or not (best.is_converged or is_in_valley(problem, best)):
+            allowed = CLEAN_ITERATIONS if self.is_clean else LoopOptions().max_iterations
+            near = start if best is None else best.estimate
+            best = self.minimizer(problem, near, LoopOptions(max_iterations=allowed, initial_damping=RESUMED_DAMPING))
+            n_iterations = int(best.n_iterations)
+        if not best.is_converged and is_in_valley(problem, best):
+            best = minimize(problem, best.estimate, PATIENT)
+            n_iterations += int(best.n_iterations)
+        if self.is_clean:
+            return best, n_iterations
+        n_seen = sum(int(c.is_seen.sum()) for c in problem.cameras)
+        n_used = sum(int(used.sum()) for used in inliers(problem, best))
+        if not best.is_converged or n_used < (1 - CLEAN_OUTLIER_SHARE) * n_seen:
+            loose = minimize(problem, start, LoopOptions(kernel="cauchy", scale_factor=2.0, tolerance_sigma=1.0))
+            other = minimize(problem, loose.estimate, LoopOptions(), scale_px=loose.scale_px / 2)
+            n_iterations += int(loose.n_iterations + other.n_iterations)
+            if _is_better(problem, other, best):
+                best = other
+        return polish_exact(problem, best), n_iterations
 
 
-def _solve(
-    minimizer: Minimizer, problem: BundleProblem, start: BundleEstimate, *, damping: float = START_DAMPING
-) -> tuple[BundleMinimum, int]:
-    """The robust optimum, and the iterations it took.
-
-    The redescending kernel goes straight to the estimate. Where it leaves out more than a few corners, or fails,
-    Cauchy's kernel, which never lets go of a corner, starts it a second time, and the lower robust cost wins: falling
-    cost alone does not prove the right minimum.
-    """
-    best = minimizer(problem, start, LoopOptions(initial_damping=damping))
-    n_iterations = int(best.n_iterations)
-    n_seen = sum(int(c.is_seen.sum()) for c in problem.cameras)
-    n_used = sum(int(used.sum()) for used in inliers(problem, best))
-    if not best.is_converged or n_used < (1 - CLEAN_OUTLIER_SHARE) * n_seen:
-        loose = minimize(problem, start, LoopOptions(kernel="cauchy", scale_factor=2.0, tolerance_sigma=1.0))
-        other = minimize(problem, loose.estimate, LoopOptions(), scale_px=loose.scale_px / 2)
-        n_iterations += int(loose.n_iterations + other.n_iterations)
-        if _is_better(problem, other, best):
-            best = other
-    return polish_exact(problem, best), n_iterations
+def is_in_valley(problem: BundleProblem, minimum: BundleMinimum) -> bool:
+    """Whether the normal equations promise little more."""
+    step = problem.solve_step(minimum.estimate, minimum.equations, np.zeros(()))
+    return bool(step.predicted_px2 < VALLEY_FALL * minimum.scale_px**2)
 
 
 def _is_better(problem: BundleProblem, a: BundleMinimum, b: BundleMinimum) -> bool:

@@ -23,6 +23,7 @@ from binocal.shapes import Bool, Float
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.covariance import inliers, shared_covariance
 from binocal.solvers.minimization import LoopOptions, minimize
+from binocal.solvers.principal_points import CentrePrior, has_centre_prior
 from binocal.solvers.whitening import corner_weights
 
 PLAIN = "brown4"
@@ -268,6 +269,8 @@ class _Base:
     misfit_px: float | None
     """None where all corners count alike."""
     estimate: BundleEstimate
+    is_long: bool = False
+    """Whether the views hardly tell the principal points (:mod:`binocal.solvers.principal_points`)."""
 
 
 def _base(detections: Detections, request: CalibrationRequest) -> _Base:
@@ -284,7 +287,7 @@ def _base(detections: Detections, request: CalibrationRequest) -> _Base:
         estimate = solve.minimum.estimate.bundle
         views = replace(views, object_points_m=np.ascontiguousarray(solve.minimum.estimate.points.T))
     misfit_px = nominal.misfit_px if nominal.problem.is_whitened else None
-    return _Base(views, nominal.problem.cameras[0].model.name, misfit_px, estimate)
+    return _Base(views, nominal.problem.cameras[0].model.name, misfit_px, estimate, has_centre_prior(nominal.problem))
 
 
 def _diagnosed(views: Detections, request: CalibrationRequest) -> NominalSolve:
@@ -388,11 +391,14 @@ def _information_criterion(problem: BundleProblem, minimum: BundleMinimum) -> fl
 def _fit(base: _Base, request: CalibrationRequest) -> _Fit | str:
     """The minimum of one model from the base's solution, or why there is none."""
     weights = None if base.misfit_px is None else corner_weights(base.views, base.misfit_px)
-    problem = joint_problem(base.views, request, weights)
+    problem, options = joint_problem(base.views, request, weights), OPTIONS
+    if base.is_long:
+        prior = CentrePrior((base.views.left_size_wh, base.views.right_size_wh))
+        problem, options = replace(problem, terms=(*problem.terms, prior)), replace(OPTIONS, is_patient=True)
     start = base.estimate if request.model == base.model else _start(base, request)
     if start is None:
         return "the model cannot see where the corners are"
-    minimum = minimize(problem, start, OPTIONS)
+    minimum = minimize(problem, start, options)
     if not bool(minimum.is_converged):
         return "the solve did not reach a minimum"
     try:

@@ -9,6 +9,7 @@ import numpy as np
 from binocal import acceptance
 from binocal.acceptance.whole_set import APART_T
 from binocal.calibrators.board_and_exposures import RealViewsSolve
+from binocal.calibrators.summary import assumption_findings, noise_findings
 from binocal.evidence import Detections
 from binocal.findings import Finding, Severity, finding, refusal
 from binocal.result import RejectedView, StereoCalibration
@@ -84,8 +85,9 @@ def checked_as_a_whole(
     n_poses = int(different_poses(views, SAME_POSE_SIGMAS * solve.noise_px).sum())
     if n_poses <= FEW_POSES_SHARE * views.n_views:
         found.append(finding("few-different-poses", n_given=views.n_views, n_poses=n_poses))
-    if not found and not copies:
+    said = (*assumption_findings(solve), *noise_findings(solve, names, has_covariances=given.has_covariances))
+    if not found and not copies and not said:
         return calibration
     before = [f for f in calibration.findings if f.severity is not Severity.NOTE]
     notes = [f for f in calibration.findings if f.severity is Severity.NOTE]
-    return replace(calibration, findings=(*found, *before, *notes), rejected=rejected)
+    return replace(calibration, findings=(*found, *before, *notes, *said), rejected=rejected)

@@ -5,7 +5,7 @@ Shared by every calibrator that ends in the joint problem.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +33,7 @@ from binocal.solvers.board_shape import ShapeModel, describe_shape
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, CameraObservations
 from binocal.solvers.covariance import inliers, real_covariance, shared_names
 from binocal.solvers.joint_system import solve_symmetric
+from binocal.solvers.principal_points import PRIOR_SHARE, has_centre_prior
 from binocal.solvers.whitening import CornerWeights
 
 SURE_SIGMAS = 3.0  # of a bow or stretch, to be named
@@ -134,7 +135,11 @@ def summarize(
         findings=(*findings, *_shape_findings(solve, board_shape, detections.is_metric)),
         n_iterations=n_iterations + solve.n_iterations,
         provenance={
-            "corner_weights": {"covariances": problem.nominal.is_whitened, "misfit_px": misfit_px},
+            "corner_weights": {
+                "covariances": detections.has_covariances,
+                "image_noise": problem.nominal.is_whitened and not detections.has_covariances,
+                "misfit_px": misfit_px,
+            },
             "views_in_common": {
                 "variance_ratio": agreement.excess,
                 "variance_ratio_sigma": agreement.excess_sigma,
@@ -207,6 +212,37 @@ def _shape_findings(solve: RealViewsSolve, shape: BoardShape | None, is_metric: 
             stretch_sigma_percent=100 * shape.stretch_sigma,
             moves_px=moves_px,
             scale_percent=100 * shape.scale_sigma,
+        ),
+    )
+
+
+def assumption_findings(solve: RealViewsSolve) -> tuple[Finding, ...]:
+    """That the principal points were taken to lie near the middle."""
+    if not has_centre_prior(solve.problem.nominal):
+        return ()
+    return (finding("principal-points-near-middle", share_percent=100 * PRIOR_SHARE),)
+
+
+def noise_findings(solve: RealViewsSolve, names: Sequence[str], *, has_covariances: bool) -> tuple[Finding, ...]:
+    """That images count by their noise, and from what to what it ranges."""
+    if has_covariances or not solve.problem.is_whitened:
+        return ()
+    noise_px = {}
+    for side, camera in zip(("left", "right"), solve.problem.cameras, strict=True):
+        assert camera.whitening is not None  # both are, or none
+        for view in np.flatnonzero(camera.is_seen.any(axis=1)).tolist():
+            corner = int(np.argmax(camera.is_seen[view]))
+            noise_px[side, names[view]] = solve.noise_px / float(camera.whitening[view, 0, corner])
+    least, most = min(noise_px, key=noise_px.__getitem__), max(noise_px, key=noise_px.__getitem__)
+    return (
+        finding(
+            "images-differ-in-noise",
+            least_px=noise_px[least],
+            least_camera=least[0],
+            least_view=least[1],
+            most_px=noise_px[most],
+            most_camera=most[0],
+            most_view=most[1],
         ),
     )
 

@@ -12,6 +12,9 @@ from numpy import ndarray
 
 from binocal.shapes import Bool, Float
 
+STRONG_K1 = 1.5  # ordinary lenses stay below 0.7; longer ones than three image widths with 5 % of distortion have more
+LARGEST_RESCALING = 0.3  # of a focal length by a step of the principal point; more is no second order
+
 
 def _split(parameters: ndarray) -> list[ndarray]:
     return [parameters[..., i, None] for i in range(parameters.shape[-1])]
@@ -153,3 +156,32 @@ def _fold_radius(distortion: Float[ndarray, "d"]) -> float:
         if denominator is not None:
             is_folded |= ~(denominator > 0)
     return float(r[np.argmax(is_folded)]) if is_folded.any() else np.inf
+
+
+def step_parameters(
+    parameters: Float[ndarray, "*batch p"], step: Float[ndarray, "*batch p"]
+) -> Float[ndarray, "*batch p"]:
+    """The parameters moved by a step; where the principal point moves, the others follow to second order.
+
+    Through a long lens a shift of the principal point by f d hardly differs from a turn of the camera by -d. With points shifted so,
+    k1 r² x leaves k1 d in the terms of p2 and p1, which the step cancels, and to second order scales of the axes, which the focal
+    lengths take up here: the step then moves corners as the linear equations had it, however far the principal point goes.
+    """
+    moved = parameters + step
+    before, after = (
+        values[..., 5] - (values[..., 10] if values.shape[-1] == 13 else 0.0) for values in (parameters, moved)
+    )
+    if not np.any(np.abs(before) > STRONG_K1):
+        return moved
+    f, p, p_moved = parameters[..., :2], parameters[..., [8, 7]], moved[..., [8, 7]]
+    d = step[..., 2:4] / f
+    p_new = p_moved + (after - before)[..., None] * d
+    d2, p_d, p_new_d = (np.sum(a * d, axis=-1, keepdims=True) for a in (d, p, p_new))
+    scale = 1 + after[..., None] * (d2 + 2 * d * d) - 2 * p_new_d - 4 * p_new * d
+    f_new = (moved[..., :2] - f * (2 * p_d + 4 * p * d)) / scale
+    is_small = np.all(np.abs(scale - 1) < LARGEST_RESCALING, axis=-1, keepdims=True) & np.isfinite(f_new).all(
+        axis=-1, keepdims=True
+    )
+    moved[..., :2] = np.where(is_small, f_new, moved[..., :2])
+    moved[..., [8, 7]] = np.where(is_small, p_new, p_moved)
+    return moved

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import add
 from typing import Any
 
 from binocal import plugins
@@ -19,6 +20,7 @@ class CameraModel:
 
     ``sees_behind`` says that points with Z <= 0 can be seen (fisheye). ``prior_sigma`` is the standard deviation of a
     weak prior that holds each radial coefficient near 0 where the corners say nothing about it; infinite: no prior.
+    ``step_parameters`` moves parameters by a solver's step: their sum to first order.
     """
 
     name: str
@@ -28,6 +30,7 @@ class CameraModel:
     linearize: Callable[..., Any]
     unproject: Callable[..., Any]
     prior_sigma: float = math.inf
+    step_parameters: Callable[..., Any] = add
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -70,6 +73,7 @@ def _brown(name: str, *distortion_names: str, prior_sigma: float = math.inf) -> 
         brown_conrady.linearize,
         brown_conrady.unproject,
         prior_sigma,
+        brown_conrady.step_parameters,
     )
 
 

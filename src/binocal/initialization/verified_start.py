@@ -22,7 +22,7 @@ from binocal.shapes import Float
 
 MIN_CORNERS = 12  # of every image; fewer leave a homography too free to prove anything
 _OUTSIDE_PX = 2.0
-_FOCAL_RANGE = (0.3, 20.0)  # half diagonals: 150 deg to 6 deg of view
+_FOCAL_RANGE = (0.3, 100.0)  # half diagonals: 150 to 1 deg of view
 _MAX_LENS_RESIDUAL = (
     0.01  # of a half diagonal; a lens that bends straight lines by more needs the profile that the diagnosis fits
 )

@@ -377,10 +377,10 @@ class BundleProblem:
         parameters, column = [], 0
         for camera, values in zip(self.cameras, estimate.parameters, strict=True):
             free = np.flatnonzero(camera.is_free)
-            moved = values.copy()
-            moved[..., free] += step.shared[..., column : column + len(free)]
+            moved = np.zeros(values.shape)
+            moved[..., free] = step.shared[..., column : column + len(free)]
             column += len(free)
-            parameters.append(moved)
+            parameters.append(camera.model.step_parameters(values, moved))
         views, rig = estimate.T_left_board, estimate.T_right_left
         views = SE3.unchecked(*step_poses(views.R, views.t, step.views))
         if self.is_stereo and self.is_rig_free:
@@ -433,6 +433,15 @@ class BundleProblem:
             shared=step.shared + np.where(is_sound[..., None], correction.shared, 0.0),
             views=step.views + np.where(is_sound[..., None, None], correction.views, 0.0),
         )
+
+    def with_views_at_best(
+        self, estimate: BundleEstimate, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
+    ) -> BundleEstimate:
+        """The estimate with every board pose stepped to where it fits best, cameras and rig held."""
+        held = tuple(replace(c, is_free=np.zeros(c.is_free.shape, dtype=bool)) for c in self.cameras)
+        problem = BundleProblem(self.object_points, held, is_rig_free=False)
+        equations = problem.linearize(estimate, scale_px, kernel)
+        return problem.retract(estimate, problem.solve_step(estimate, equations, np.zeros(np.shape(scale_px))))
 
     def with_lost_views_restored(
         self, candidate: BundleEstimate, equations: BundleEquations, start: BundleEstimate

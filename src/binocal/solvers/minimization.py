@@ -14,7 +14,7 @@ from binocal.solvers.controllers import Marquardt, Schedule
 from binocal.solvers.loop import begin, run
 from binocal.solvers.loop_state import Action, LoopState, Outcome
 from binocal.solvers.problem import E, Problem, Q, S, Step
-from binocal.solvers.rules import NEAR
+from binocal.solvers.rules import NEAR, PATIENT
 
 START_DAMPING = 1e-6
 RESUMED_DAMPING = 1e-9  # of a solve that begins near its minimum: more would take short steps there for arrival
@@ -35,10 +35,14 @@ class LoopOptions:
     """Stop where the next step would be shorter than this: its norm over all unknowns, in standard deviations of the
     estimate; for one parameter among hundreds it is far shorter. On exact corners the tolerance is 10⁴ times smaller."""
     initial_damping: float = START_DAMPING
+    is_patient: bool = False
+    """For problems on which the ordinary loop creeps (:class:`binocal.solvers.rules.Patient`): dearer iterations, steady damping."""
 
     @property
     def controller(self) -> Marquardt:
         """Levenberg-Marquardt as the classical solve takes it: nearly Gauss-Newton, quick to let a damping go."""
+        if self.is_patient:
+            return Marquardt(self.initial_damping, fall=3.0, rise=5.0, least_raised=1e-9)
         return Marquardt(self.initial_damping, fall=30.0, schedule=Schedule((self.scale_factor,)))
 
 
@@ -113,17 +117,18 @@ def minimize(
     due.
     """
     options = options or LoopOptions()
+    rules = PATIENT if options.is_patient else NEAR
     state = begin(
         problem,
         start,
         options.kernel,
         scale_px,
-        rules=NEAR,
+        rules=rules,
         scale_factor=options.scale_factor,
         equations=equations,
     )
     arrival = Arrival(state, options)
-    state = run(problem, state, options.controller, options.kernel, NEAR, arrival)
+    state = run(problem, state, options.controller, options.kernel, rules, arrival)
     return Minimum(
         state.estimate,
         state.equations,

@@ -117,6 +117,10 @@ class SteerableProblem(Problem[E, Q, S], Protocol[E, Q, S]):
         """The sum of both where a correction is wanted and small enough to be believed."""
         ...
 
+    def with_views_at_best(self, estimate: E, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> E:
+        """The estimate with the views' own unknowns stepped to where they fit best beside the shared ones."""
+        ...
+
     def with_lost_views_restored(self, candidate: E, equations: Q, start: E) -> E:
         """The candidate with what has lost all weight under a redescending kernel put back to the start's values."""
         ...

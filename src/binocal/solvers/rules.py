@@ -126,6 +126,20 @@ class Near(Rules[E, Q, S]):
 
 
 @dataclass(frozen=True, slots=True)
+class Patient(Near[E, Q, S]):
+    """:class:`Near` for valleys that bend within a standard deviation: every candidate's views are at their best before it is judged.
+
+    A long step along such a valley moves all poses, and what it leaves of them to second order would hide that it is right. The
+    problem must be a :class:`binocal.solvers.problem.SteerableProblem`.
+    """
+
+    def candidate(self, problem: Problem[E, Q, S], state: LoopState[E, Q, S], step: S, kernel: robust.Kernel) -> E:
+        """The estimate moved by the step, then its views alone by theirs."""
+        moved = problem.retract(state.estimate, step)
+        return _steerable(problem).with_views_at_best(moved, state.scale_px, kernel)
+
+
+@dataclass(frozen=True, slots=True)
 class Far(Rules[E, Q, S]):
     """For long steps, whose controllers look at the undamped step and at the last gain.
 
@@ -216,6 +230,7 @@ class Far(Rules[E, Q, S]):
 
 
 NEAR: Near[Any, Any, Any] = Near()
+PATIENT: Patient[Any, Any, Any] = Patient()
 FAR: Far[Any, Any, Any] = Far()
 
 
