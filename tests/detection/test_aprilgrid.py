@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -54,3 +55,16 @@ def test_other_ids_are_named(shoot):
 
 def test_no_tag(shoot):
     assert "no tag" in detect(shoot("chessboard:7x6:30mm").image, parse_board(SPEC)).reason
+
+
+def test_one_stray_tag_is_left_out(shoot):
+    shot = shoot("aprilgrid:6x6:40mm:0.3", size_wh=(960, 720), distance=0.75)
+    clean = detect(shot.image, shot.board)
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    drawn = cv2.aruco.generateImageMarker(family, 0, 70, borderBits=2)
+    image = shot.image.copy()
+    image[10:100, 860:950] = cv2.copyMakeBorder(drawn, 10, 10, 10, 10, cv2.BORDER_CONSTANT, value=235)
+    found = detect(image, shot.board)
+    assert found.is_found and "a tag lies elsewhere" in found.note, found.reason
+    assert found.is_seen.sum() >= 0.9 * clean.is_seen.sum()
+    assert np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.5

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -61,3 +62,44 @@ def test_layouts_differ_where_rows_are_even_only():
     assert marker_squares(even, "legacy")[0].tolist() == [0, 0]
     assert marker_squares(even, "current")[0].tolist() == [1, 0]
     assert np.array_equal(marker_squares(odd, "legacy"), marker_squares(odd, "current"))
+
+
+def paste_marker(image, dictionary, marker, centre, side_px, turn_deg=20.0):
+    """The image with a marker stuck on it."""
+    drawn = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(dictionary), marker, side_px)
+    drawn = cv2.copyMakeBorder(drawn, 5, 5, 5, 5, cv2.BORDER_CONSTANT, value=230)
+    size = (image.shape[1], image.shape[0])
+    turn = cv2.getRotationMatrix2D((drawn.shape[1] / 2, drawn.shape[0] / 2), turn_deg, 1.0)
+    turn[:, 2] += np.array(centre) - np.array(drawn.shape[::-1]) / 2
+    covered = cv2.warpAffine(np.full(drawn.shape, 255, np.uint8), turn, size) > 128
+    return np.where(covered, cv2.warpAffine(drawn, turn, size), image)
+
+
+@pytest.mark.parametrize("centre", [(60, 60), (740, 540), (400, 300)])
+def test_one_stray_marker_costs_no_more_than_what_it_covers(shoot, centre):
+    """A marker of the board's dictionary that lies elsewhere would fold the board in a least-squares fit over all."""
+    shot = shoot("charuco:14x10:30mm:22mm:DICT_5X5_100", size_wh=(800, 600), distance=0.75)
+    clean = detect(shot.image, shot.board)
+    for marker in (0, 69):  # neither is in view
+        image = paste_marker(shot.image, cv2.aruco.DICT_5X5_100, marker, centre, 56)
+        found = detect(image, shot.board)
+        assert found.is_found and "elsewhere than on the board" in found.note, found.reason
+        away = np.linalg.norm(clean.points_px - np.array(centre), axis=1) > 60
+        assert (found.is_seen[away] >= clean.is_seen[away]).mean() > 0.93  # measured 0.95 to 1
+        assert np.nanmax(np.abs(found.points_px - shot.corners_px)[away]) < 0.3
+
+
+def test_markers_of_a_wrong_board_are_not_called_stray(shoot):
+    shot = shoot(SPEC, size_wh=(800, 600), distance=1.9)
+    assert not detect(shot.image, parse_board("charuco:7x6:30mm:22mm:DICT_5X5_50")).is_found
+    assert "elsewhere" not in detect(shot.image, shot.board).note
+
+
+def test_markers_that_the_saturated_paper_runs_into_give_no_corner(shoot):
+    shot = shoot(
+        "charuco:9x7:20mm:15mm:DICT_5X5_100", size_wh=(960, 720), white_dn=420.0, black_dn=60.0, background_dn=220.0,
+        blur_px=1.5,
+    )  # fmt: skip
+    found = detect(shot.image, shot.board)
+    if found.is_found:
+        assert np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.1  # up to 2 px where they were kept

@@ -16,15 +16,18 @@ from binocal.boards import Board
 from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
 from binocal.detection.finding.planes import grid_residuals
 from binocal.detection.finding.regularity import keep_regular
+from binocal.detection.finding.strays import find_strays, stray_note
 from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import corner_covariance, measure_corners, refine_corners
-from binocal.shapes import Float, Float32, Int
+from binocal.shapes import Bool, Float, Float32, Int
 
 MIN_TAGS = 2  # one tag does not show how the ids run
 L_CORNER_BIAS_PX = (
     0.1  # cornerSubPix on tag corners that touch nothing; measured 0.08 to 0.10 on rendered grids, blur 0.8 px
 )
+MUCH_MORE = 1.5  # times as many tags with the narrow border as with the wide one, for it to be the board's
+MAX_STRAY = 0.5  # greatest distance from a smooth plane, tag sides: above it some tag may be none of the board's
 MAX_MISFIT = 0.2  # median distance from a smooth plane, tag sides: a wrong hypothesis is off by a whole tag
 
 
@@ -58,22 +61,28 @@ def detect_aprilgrid(
     tags, quads = tags[known], quads[known]
     if len(tags) < MIN_TAGS:
         return not_found(board.n_points, f"only {len(tags)} tag of the board found; at least {MIN_TAGS} needed"), None
+    is_stray = _find_strays(board, tags, quads)
+    tags, quads = tags[~is_stray], quads[~is_stray]
     ranked = sorted(
-        ((_misfit(board, tags, quads, choice), i, choice) for i, choice in enumerate(_LAYOUTS)), key=lambda r: r[:2]
+        ((_residuals(board, tags, quads, choice)[0], i, choice) for i, choice in enumerate(_LAYOUTS)),
+        key=lambda r: r[:2],
     )
     is_proved = ranked[0][0] < MAX_MISFIT and ranked[1][0] > max(3 * ranked[0][0], 0.05)
     proved = ranked[0][2] if is_proved else None
     alike = {choice for misfit, _, choice in ranked if misfit <= max(3 * ranked[0][0], 0.05)}
     chosen = layout or proved or next(choice for choice in _LAYOUTS if choice in alike or choice == ranked[0][2])
-    if not _misfit(board, tags, quads, chosen) < MAX_MISFIT:
+    if not _residuals(board, tags, quads, chosen)[0] < MAX_MISFIT:
         return not_found(
             board.n_points,
             f"its {len(tags)} tags do not lie as on a {board.columns}x{board.rows} grid, gap {board.tag_gap_ratio:g}",
         ), proved
     found = _measure(grey, stretched, board, tags, quads, chosen, border_bits)
-    if found.is_found and layout is None and proved is None:
-        found = replace(found, note="which way the ids run cannot be seen in this image; from the bottom taken")
-    return found, proved
+    notes = [found.note] if found.note else []
+    if layout is None and proved is None:
+        notes = ["which way the ids run cannot be seen in this image; from the bottom taken"]
+    if is_stray.any():
+        notes.append(stray_note(int(is_stray.sum()), "tag"))
+    return replace(found, note="; ".join(notes)) if found.is_found else found, proved
 
 
 # In order of preference where several fit: Kalibr's ids run from the bottom.
@@ -92,7 +101,8 @@ def _find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[nd
     for image, grow in ((thinned, 1.0), (grey8, 0.0)):
         for border_bits in (2, 1):
             ids, quads = find_markers(image, dictionary, border_bits=border_bits)
-            if len(ids) > len(best[0]):
+            # A wide border is read as a narrow one too: a stray tag of that kind must not decide.
+            if len(ids) > len(best[0]) * (MUCH_MORE if border_bits < best[2] else 1.0):
                 best = ids, np.array([_grow(quad, grow) for quad in quads]), border_bits
             if len(best[0]) >= max(4, n_tags // 2):
                 return best
@@ -114,11 +124,23 @@ def _point_indices(board: Board, tags: Int[ndarray, "m"], layout: TagLayout) -> 
     return 4 * (row * board.columns + column)[:, None] + corner
 
 
-def _misfit(board: Board, tags: ndarray, quads: ndarray, layout: TagLayout) -> float:
-    """Median distance of the tag corners from a smooth image of the plane, in tag sides."""
+def _find_strays(board: Board, tags: ndarray, quads: ndarray) -> Bool[ndarray, "m"]:
+    """Tags that are none of the board's, where without them the others fit a layout and with them not all do."""
+    nowhere = np.zeros(len(tags), bool)
+    if min(_residuals(board, tags, quads, choice)[1] for choice in _LAYOUTS) < MAX_STRAY:
+        return nowhere
+    xy = board.object_points_m[:, :2] / (board.pitch_m * (1 + board.tag_gap_ratio))
+    strays = (find_strays(xy[_point_indices(board, tags, choice)], quads) for choice in _LAYOUTS)
+    is_stray = min(strays, key=np.count_nonzero)
+    return nowhere if is_stray.all() else is_stray
+
+
+def _residuals(board: Board, tags: ndarray, quads: ndarray, layout: TagLayout) -> tuple[float, float]:
+    """Median and greatest distance of the tag corners from a smooth image of the plane, in tag sides."""
     xy = board.object_points_m[_point_indices(board, tags, layout).ravel(), :2]
     side = float(np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).mean())
-    return float(np.median(grid_residuals(xy, quads.reshape(-1, 2)))) / side
+    residuals = grid_residuals(xy, quads.reshape(-1, 2)) / side
+    return float(np.median(residuals)), float(residuals.max())
 
 
 def _measure(

@@ -13,6 +13,7 @@ from binocal.boards import Board
 from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
 from binocal.detection.finding.planes import apply_homography, grid_residuals
 from binocal.detection.finding.regularity import keep_regular
+from binocal.detection.finding.strays import find_strays, stray_note
 from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
@@ -20,6 +21,7 @@ from binocal.shapes import Bool, Float, Float32, Int
 
 Layout = Literal["", "current", "legacy"]
 MIN_CORNERS = 4  # of one image: fewer carry no pose; the solver decides on more
+MAX_MISFIT = 0.5  # distance of markers from a smooth plane, sides; a wrong board is off by a whole square
 MIN_LAYOUT_RATIO = 3.0  # by which one layout must fit better than the other to be believed
 
 
@@ -31,6 +33,8 @@ class _Reading:
     squares: Int[ndarray, "m 2"]
     misfit: float
     """Median distance from a smooth plane, marker sides."""
+    worst: float
+    """The greatest one."""
 
 
 def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
@@ -58,30 +62,51 @@ def detect_charuco(
     known = ids < n_board
     if not known.any():
         return not_found(board.n_points, f"markers have ids from {ids.min()} on; the board has 0 to {n_board - 1}"), ""
-    readings = {name: _read_layout(board, name, ids[known], quads[known]) for name in ("current", "legacy")}
+    ids, quads = ids[known], quads[known]
+    readings, is_stray = _read_without_strays(board, ids, quads)
+    ids, quads = ids[~is_stray], quads[~is_stray]
     proved = _prove_layout(board, readings)
     reading = readings[layout or proved or "current"]
-    n_markers = int(known.sum())
-    if not reading.misfit < 0.5:
+    if not reading.misfit < MAX_MISFIT:
         size = f"{board.columns}x{board.rows}"
-        return not_found(board.n_points, f"its {n_markers} markers do not lie as on a board of {size} squares"), proved
-    found = _measure(grey, stretched, board, quads[known], reading)
-    if found.is_found and not layout and not proved and board.rows % 2 == 0:
-        found = replace(
-            found, note="the board's layout (current or legacy) cannot be seen in this image; current taken"
-        )
-    return found, proved
+        return not_found(board.n_points, f"its {len(ids)} markers do not lie as on a board of {size} squares"), proved
+    found = _measure(grey, stretched, board, quads, reading)
+    notes = []
+    if not layout and not proved and board.rows % 2 == 0:
+        notes.append("the board's layout (current or legacy) cannot be seen in this image; current taken")
+    if is_stray.any():
+        notes.append(stray_note(int(is_stray.sum()), "marker"))
+    return replace(found, note="; ".join(notes)) if found.is_found else found, proved
+
+
+def _read_without_strays(
+    board: Board, ids: Int[ndarray, "m"], quads: Float[ndarray, "m 4 2"]
+) -> tuple[dict[str, _Reading], Bool[ndarray, "m"]]:
+    """The markers read in both layouts, without those that are none of the board's, and which those are."""
+    layouts: tuple[Layout, ...] = ("current", "legacy")
+    readings = {name: _read_layout(board, name, ids, quads) for name in layouts}
+    nowhere = np.zeros(len(ids), bool)
+    if min(reading.worst for reading in readings.values()) < MAX_MISFIT:
+        return readings, nowhere
+    strays = (find_strays(_marker_places(board, readings[name].squares), quads) for name in layouts)
+    is_stray = min(strays, key=np.count_nonzero)
+    if is_stray.all() or not is_stray.any():
+        return readings, nowhere
+    return {name: _read_layout(board, name, ids[~is_stray], quads[~is_stray]) for name in layouts}, is_stray
+
+
+def _marker_places(board: Board, squares: Int[ndarray, "m 2"]) -> Float[ndarray, "m 4 2"]:
+    """The corners of the markers in these squares, in the markers' own order, squares."""
+    margin = 0.5 * (1 - board.marker_m / board.pitch_m)
+    return squares[:, None] + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 - 2 * margin) + margin
 
 
 def _read_layout(board: Board, layout: Layout, ids: ndarray, quads: ndarray) -> _Reading:
     by_id = marker_squares(board, layout)
     squares = by_id[np.minimum(ids, len(by_id) - 1)]
-    margin = 0.5 * (1 - board.marker_m / board.pitch_m)
-    offsets = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 - 2 * margin) + margin
-    xy = (squares[:, None] + offsets).reshape(-1, 2)
-    points = quads.reshape(-1, 2)
-    sides = np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).mean()
-    return _Reading(layout, squares, float(np.median(grid_residuals(xy, points))) / float(sides))
+    residuals = grid_residuals(_marker_places(board, squares).reshape(-1, 2), quads.reshape(-1, 2))
+    residuals = residuals / np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).mean()
+    return _Reading(layout, squares, float(np.median(residuals)), float(residuals.max()))
 
 
 def find_columns(stretched: Float32[ndarray, "h w"], board: Board) -> int:
@@ -106,7 +131,7 @@ def _prove_layout(board: Board, readings: dict[str, _Reading]) -> Layout:
     if board.rows % 2:
         return "current"
     current, legacy = readings["current"].misfit, readings["legacy"].misfit
-    if min(current, legacy) > 0.5:
+    if min(current, legacy) > MAX_MISFIT:
         return ""
     if current * MIN_LAYOUT_RATIO < legacy and legacy > 0.05:
         return "current"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy import ndarray
@@ -12,10 +14,11 @@ from binocal.detection.charuco import Layout
 from binocal.detection.chessboard import detect_chessboard
 from binocal.detection.found import FoundBoard, not_found
 from binocal.images.reading import to_grey
-from binocal.shapes import Float32, UInt8
+from binocal.shapes import Float32, Int, UInt8
 
 MIN_SIDE_PX = 32
 BLANK_DN = 6.0  # of 255 after stretching at most fourfold
+MUCH_SATURATED = 0.6  # share of the image, from which it is named where no board is found
 GREATEST_STRETCH = 4.0  # an 8-bit image has no more to give: beyond it rounding looks like corners
 
 
@@ -41,6 +44,16 @@ def detect_in_layout(
     grey = to_grey(image)
     if min(grey.shape) < MIN_SIDE_PX:
         return not_found(board.n_points, f"the image is only {grey.shape[1]}x{grey.shape[0]} pixels"), None
+    found, proved = _detect_kind(grey, board, layout)
+    if not found.is_found and (share := saturated_share(grey)) > MUCH_SATURATED:
+        text = f"{found.reason} ({100 * share:.0f} % of the image is saturated: overexposed?)"
+        found = replace(found, reason=text)
+    return found, proved
+
+
+def _detect_kind(
+    grey: ndarray, board: Board, layout: Layout | TagLayout | None
+) -> tuple[FoundBoard, Layout | TagLayout | None]:
     if board.kind == "chessboard":
         stretched, problem = stretch_8_bit(grey)
         return (not_found(board.n_points, problem) if problem else detect_chessboard(grey, stretched, board)), None
@@ -90,19 +103,33 @@ def stretch_8_bit(grey: ndarray) -> tuple[UInt8[ndarray, "h w"], str]:
     return cv2.add(scaled, -low * gain, dtype=cv2.CV_8U), ""  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
+def saturated_share(grey: ndarray) -> float:
+    """Share of the pixels at the top of the range: 254 and 255 of 8 bits, the greatest value of 16 bits.
+
+    Much of it is no fault by itself: white paper and lamps saturate in images whose corners are whole.
+    """
+    levels = _levels(grey)
+    top = 255 if grey.dtype == np.uint8 else len(levels) - 1
+    return float(levels[top - (1 if grey.dtype == np.uint8 else 0) :].sum() / levels.sum()) if top > 0 else 0.0
+
+
+def _levels(grey: ndarray) -> Int[ndarray, "levels"]:
+    """How many of a sample of the pixels have each grey value."""
+    step = max(1, min(grey.shape) // 120)
+    return np.bincount(np.ascontiguousarray(grey[::step, ::step]).ravel())
+
+
 def _measure_range(grey: ndarray) -> tuple[float, float, str]:
     """The grey level that becomes 0, the gain, and what makes the image useless, if anything."""
-    step = max(1, min(grey.shape) // 120)
-    values = np.ascontiguousarray(grey[::step, ::step]).ravel()
-    ranks = (int(0.005 * (values.size - 1)), int(np.ceil(0.995 * (values.size - 1))))
-    levels = np.bincount(values)
-    low, high = (float(level) for level in np.searchsorted(np.cumsum(levels), ranks, side="right"))
-    span = high - low
-    top = 255 if grey.dtype == np.uint8 else int(grey.max())
-    share = float(levels[top - (1 if grey.dtype == np.uint8 else 0) :].sum() / values.size)
-    if share > 0.6 and top > 0:
-        return low, 1.0, f"the image is overexposed ({100 * share:.0f} % of it is saturated)"
     least = BLANK_DN if grey.dtype == np.uint8 else 16.0
+    levels = _levels(grey)
+    n = int(levels.sum())
+    ranks = (int(0.005 * (n - 1)), int(np.ceil(0.995 * (n - 1))))
+    low, high = (float(level) for level in np.searchsorted(np.cumsum(levels), ranks, side="right"))
+    if high - low < least:
+        # A board may be smaller than what the percentiles leave out, on a ground without any texture.
+        low, high = (float(level) for level in cv2.minMaxLoc(grey)[:2])
+    span = high - low
     if span < least:
         return low, 1.0, f"the image is blank (its grey values span {span:.0f} levels)"
     gain = 255.0 / span

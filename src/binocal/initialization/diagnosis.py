@@ -182,7 +182,11 @@ def _share_focal(
     if max(sigma) < _SHARED_FOCAL or both.sum() < MIN_VIEWS:
         return cameras
     f = [float(camera.parameters[0]) for camera in cameras]
-    size = [f[k] / cameras[k].poses.t[both, 2] for k in range(2)]
+    depths = [camera.poses.t[both, 2] for camera in cameras]
+    in_front = (depths[0] > 0) & (depths[1] > 0)  # beside a lens of more than 180 degrees boards may stand behind
+    if not in_front.any():
+        return cameras
+    size = [f[k] / depths[k][in_front] for k in range(2)]
     ratio = float(np.median(np.log(size[1] / size[0])))  # log fR / fL, were the depths equal
     precision = [1 / s**2 for s in sigma]
     # left's log f from both cameras; the depths differ by a few percent in usual rigs

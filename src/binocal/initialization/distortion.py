@@ -19,7 +19,11 @@ from binocal.geometry.homography import PlaneFit, PlaneFrame, fit_plane, plane_s
 from binocal.geometry.so3 import turn_to_z
 from binocal.shapes import Float
 
-MAX_VIEWS, MAX_POINTS = 12, 60  # evenly chosen; enough for a start, the joint solver sees everything
+MAX_VIEWS, MAX_POINTS = (
+    12,
+    60,
+)  # evenly chosen, points of a whole board; enough for a start, the joint solver sees everything
+_NO_FIT = 1.0  # residual, half diagonals, of a corner whose view has no homography on a candidate's rays
 _MIN_G = 0.3  # 75-80 deg from the axis: nearer to the horizon rays are turned before the plane is used
 _MIN_COSINE = 0.08  # a corner 85 deg from its own view's mean ray is left out
 _CANDIDATES = (
@@ -64,12 +68,17 @@ def estimate_lifting(
     size_wh: tuple[int, int],
     aspect: float = 1.0,
 ) -> Lifting:
-    """Radial profile and its centre from at most 12 evenly chosen views; weight 0 marks unseen or outlying corners."""
+    """Radial profile and its centre from at most 12 evenly chosen views; weight 0 marks unseen or outlying corners.
+
+    Of a whole board 60 points are enough; of a board seen in part so many more that a view keeps as many of those it shows.
+    """
     centre = np.array([(size_wh[0] - 1) / 2, (size_wh[1] - 1) / 2])
     unit = float(np.hypot(*size_wh) / 2)
     n_views, n_points = u_px.shape
     chosen = np.linspace(0, n_views - 1, min(MAX_VIEWS, n_views)).round().astype(int)[:, None]
-    points = np.linspace(0, n_points - 1, min(MAX_POINTS, n_points)).round().astype(int)
+    share_seen = float(np.mean(weights[chosen[:, 0]] > 0))
+    n_chosen = min(n_points, int(np.ceil(MAX_POINTS / max(share_seen, 1e-3))))
+    points = np.linspace(0, n_points - 1, n_chosen).round().astype(int)
     frame = replace(frame, xy=frame.xy[points], basis=frame.basis[points])
     u = (u_px[chosen, points] - centre[0]) / unit
     v = (v_px[chosen, points] - centre[1]) * (aspect / unit)
@@ -87,7 +96,7 @@ def estimate_lifting(
         [np.zeros((1, 4)), np.eye(4)]
     )  # a candidate and its four finite differences at once
     lam, current, candidate = 1e-4, np.inf, best
-    N, gradient, sigma2 = np.zeros((4, 4)), np.zeros(4), 1.0  # stays at the coarse candidate if no residual is finite
+    N, gradient, sigma2 = np.zeros((4, 4)), np.zeros(4), 1.0
     for _ in range(10):
         residuals = _residuals(candidate + offsets, frame, u, v, w)
         cost = float(_cost(residuals[:1])[0])
@@ -118,12 +127,18 @@ def estimate_lifting(
 
 
 def _residuals(parameters: Float[ndarray, "k 4"], frame: PlaneFrame, u: ndarray, v: ndarray, w: ndarray) -> ndarray:
-    """Homography residuals in units of the image, (k, views, 2, n), weighted."""
+    """Homography residuals in units of the image, (k, views, 2, n), weighted; finite.
+
+    A view that has no homography on a candidate's rays, because few of its corners are left this side of the horizon, counts
+    against that candidate, and no further.
+    """
     l1, l2, cx, cy = (parameters[:, i, None, None] for i in range(4))
     dx, dy = u - cx, v - cy
     r2 = dx * dx + dy * dy
     _, du, dv, _, root, _ = _fit_rays(frame, dx, dy, 1 + r2 * (l1 + r2 * l2), w, parameters[:, 0], n_passes=1)
-    return np.stack([du, dv], axis=-2) * (root * np.sqrt(w))[..., None, :]
+    with np.errstate(all="ignore"):
+        residuals = np.stack([du, dv], axis=-2) * (root * np.sqrt(w))[..., None, :]
+    return np.where(np.isfinite(residuals), residuals, np.where(w > 0, _NO_FIT, 0.0)[..., None, :])
 
 
 def _fit_rays(
@@ -164,9 +179,7 @@ def _fit_rays(
 
 def _cost(residuals: Float[ndarray, "k views 2 n"]) -> Float[ndarray, "k"]:
     """Mean absolute residual: robust enough to choose and to accept, and smooth enough."""
-    with np.errstate(all="ignore"):
-        cost = np.mean(np.abs(residuals), axis=(1, 2, 3))
-    return np.where(np.isfinite(cost), cost, np.inf)
+    return np.mean(np.abs(residuals), axis=(1, 2, 3))
 
 
 def fit_lifted(

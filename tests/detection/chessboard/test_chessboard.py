@@ -149,3 +149,53 @@ def test_stretching_leaves_room_for_what_is_brighter_than_almost_all_else(dtype,
     image, problem = stretch_8_bit(grey.astype(dtype))
     assert not problem and 200 < image[103, 153] <= 255
     assert image[103, 153] > image[:90].max() + 20  # the percentiles alone would saturate both
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        {"background_dn": 255.0, "clutter_dn": 0.0, "white_dn": 260.0},  # on white paper
+        {"background_dn": 255.0, "clutter_dn": 0.0, "white_dn": 240.0, "black_dn": 60.0, "noise_dn": 1.0},
+        {"background_dn": 255.0, "clutter_dn": 0.0, "white_dn": 420.0, "black_dn": 60.0},  # back-lit
+    ],
+)
+def test_a_board_on_white_is_measured_however_much_of_the_image_saturates(shoot, light):
+    shot = shoot("chessboard:9x6:30mm", distance=3.6, **light)
+    assert np.mean(shot.image >= 254) > 0.6
+    found = detect(shot.image, shot.board)
+    assert found.is_found and found.is_seen.all(), found.reason
+    assert rms_px(found, shot.corners_px) < 0.03  # measured 0.005 to 0.012 px per axis
+
+
+def test_a_board_that_is_a_speck_on_white_is_no_blank_image(shoot):
+    shot = shoot(
+        "chessboard:4x3:30mm", distance=22.0, background_dn=255.0, clutter_dn=0.0, white_dn=255.0, noise_dn=0.0,
+        size_wh=(960, 720),
+    )  # fmt: skip
+    assert np.mean(shot.image < 250) < 0.005
+    assert detect(shot.image, shot.board).is_found
+
+
+@pytest.mark.parametrize("exposure", [2.5, 3.0, 4.0])
+@pytest.mark.parametrize("blur_px", [0.8, 1.5])
+def test_burnt_out_paper_costs_accuracy_and_says_so(shoot, exposure, blur_px):
+    """The dark squares no longer touch: the corner fit fails, and what stands in for it states what it is off by."""
+    ratios = []
+    for seed in range(3):
+        shot = shoot(
+            "chessboard:9x6:30mm", seed=seed, blur_px=blur_px, white_dn=210 * exposure, black_dn=30 * exposure,
+            background_dn=110 * exposure,
+        )  # fmt: skip
+        found = detect(shot.image, shot.board)
+        assert found.is_found, found.reason
+        error = (found.points_px - shot.corners_px)[found.is_seen]
+        inverse = np.linalg.inv(found.covariance_px2[found.is_seen])
+        ratios.append(np.einsum("ni,nij,nj->n", error, inverse, error) / 2)
+    assert np.sqrt(np.mean(np.concatenate(ratios))) < 1.4  # measured 0.3 to 1.0; 2.4 to 4.6 without a floor for it
+
+
+def test_what_is_not_found_in_a_saturated_image_says_so():
+    image = np.full((480, 640), 255, np.uint8)
+    image[:, 400:] = np.random.default_rng(0).integers(0, 255, (480, 240))
+    reason = detect(image, parse_board("chessboard:9x6:30mm")).reason
+    assert "no chessboard found" in reason and "63 % of the image is saturated" in reason

@@ -37,3 +37,9 @@ def test_less_noise_is_stated_as_less_variance(shoot):
         assert np.allclose(covariance, covariance.transpose(0, 2, 1)) and (covariance[:, 0, 0] > 0).all()
         variances.append(covariance[:, 0, 0].mean())
     assert variances == sorted(variances)
+
+
+def test_what_is_clipped_has_no_say_on_the_noise(shoot):
+    shot = shoot("chessboard:9x6:30mm", noise_dn=3.0, white_dn=400.0, background_dn=400.0, clutter_dn=0.0, distance=2.5)
+    assert np.mean(shot.image == 255) > 0.6
+    assert estimate_noise_dn(shot.image) == pytest.approx(3.0, rel=0.3)  # 0.3 where the clipped counted

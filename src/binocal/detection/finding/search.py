@@ -22,6 +22,9 @@ LEAST_LINKED_TO_STRETCH = 8  # chance seldom links more than six corners
 LINKED_TO_RETRY, LINKED_TO_RETRY_SMALL = 7, 4
 STRETCHES = 8  # directions of a half turn
 SHORTENED, WIDENED = 0.5, 2.0  # along and across a direction: rhombi of 4 to 1 become squares
+# Share of the image from which all searches are made: paper that saturates parts the dark squares, and only smoothing
+# joins them again.
+MUCH_SATURATED = 0.3
 REACH_OF_LINKED = 1.0  # of the linked corners' extent, beyond them: they are a part of a board of up to three times it
 COARSEST_PX = 320  # long side of the coarsest image searched: 12 squares across 60 % of it are 16 px each
 MOST_SADDLES = 1200  # tried where the board is not known; otherwise four a corner, for clutter has saddles too
@@ -100,9 +103,10 @@ def scaled_levels(image: UInt8[ndarray, "h w"], size: tuple[int, int] | None) ->
     pyramid = [image]
     for _ in range(halvings):
         pyramid.append(cv2.resize(pyramid[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    is_bright = np.mean(image[::8, ::8] >= 254) > MUCH_SATURATED
     most_linked = 0
     for index, setting in enumerate(level_settings(halvings)):
-        if most_linked < setting.least_linked:
+        if most_linked < setting.least_linked and not is_bright:
             continue
         if setting.halvings < 0:
             scaled = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)

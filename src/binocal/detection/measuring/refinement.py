@@ -17,6 +17,10 @@ EFFICIENCY_LOSS = (
     3.0  # cornerSubPix over the bound; 2.6 to 3.7 on simulated corners with blur 0.6 to 1.5 px, noise 1 to 5
 )
 FLOOR_PX = 0.015  # its bias on exact corners
+# Paper that saturates by far leaves edges too sharp for the pixels and the dark squares apart: 0.03 to 0.08 px on rendered
+# boards, exposed 2 to 6 times too long, with blurs of 0.6 to 1.5 px.
+BURNT_OUT_PX = 0.06
+BURNT_OUT_SHARE = 0.2  # of a corner's window at the top of the range, for it to be so
 
 
 def measure_corners(
@@ -34,7 +38,8 @@ def measure_corners(
 
     See :func:`binocal.detection.measuring.corner_fit.fit_corners` for ``reach_px`` and ``strip_px``. Where no saddle can be fitted
     from the start it is tried again from cornerSubPix's corner, whose half-window is ``per_reach`` times the reach; where
-    that fails too (squares hardly wider than the blur) cornerSubPix's corner is taken, with its own, larger, covariance.
+    that fails too (squares hardly wider than the blur) cornerSubPix's corner is taken, with its own, larger, covariance;
+    but not where ``strip_px`` bounds what is printed beside it and the paper is burnt out, which spreads one over the other.
     A corner whose surroundings contradict the model (covered, glare) is NaN.
     """
     fitted = fit_corners(grey, points_px, reach_px, strip_px, board_xy=board_xy)
@@ -49,6 +54,8 @@ def measure_corners(
         a.copy() for a in (fitted.points_px, fitted.covariance_px2, fitted.cross_covariance_px2)
     )
     is_plain = np.isfinite(again[:, 0]) & ~np.isfinite(fitted.misfit)
+    if strip_px is not None:
+        is_plain &= ~_are_burnt_out(grey, again, reach_px, per_reach)
     if is_plain.any():
         points[is_plain] = again[is_plain]
         covariance[is_plain] = corner_covariance(grey, again, reach_px, per_spacing=per_reach)[is_plain]
@@ -100,12 +107,15 @@ def estimate_noise_dn(grey: ndarray) -> float:
     """Standard deviation of the pixel noise, grey levels, at least what rounding alone gives.
 
     Median absolute response of Immerkær's (1996) Laplacian difference mask, which is blind to shading and straight
-    edges.
+    edges. What is clipped, at either end, shows no noise and has no say: it may be most of the image.
     """
     rows = max(1, grey.shape[0] // 240)
     band = grey.astype(np.float32)
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = cv2.filter2D(band, cv2.CV_32F, mask)[1:-1:rows, 1:-1:rows]
+    least, most, _, _ = cv2.minMaxLoc(grey)
+    inside = grey[1:-1:rows, 1:-1:rows]
+    response = response[(inside > least) & (inside < most)]
     if response.size == 0:
         return 0.3
     return max(0.3, float(np.median(np.abs(response))) / (0.6745 * 6))
@@ -121,7 +131,8 @@ def corner_covariance(
     """Isotropic covariance of each refined corner, px^2, from the noise and the gradients in its window.
 
     NaN where it is NaN.
-    The image-level bound noise^2 inverse(sum g g^T) is widened to what cornerSubPix reaches, with a floor for its bias.
+    The image-level bound noise^2 inverse(sum g g^T) is widened to what cornerSubPix reaches, with a floor for its bias,
+    and another one where the paper about the corner saturates.
     """
     variance = np.full(len(points_px), np.nan)
     noise_dn = estimate_noise_dn(grey)
@@ -140,4 +151,22 @@ def corner_covariance(
         determinant = np.maximum(xx * yy - (gx * gy).sum(axis=(1, 2)) ** 2, 1e-6 * xx * yy)
         bound = noise_dn**2 * 0.5 * (xx + yy) / determinant
         variance[index] = np.minimum(EFFICIENCY_LOSS**2 * bound + FLOOR_PX**2, (0.5 * size) ** 2)
+    variance[_are_burnt_out(grey, points_px, spacing_px, per_spacing)] += BURNT_OUT_PX**2
     return variance[:, None, None] * np.where(np.isfinite(variance)[:, None, None], np.eye(2), np.nan)
+
+
+def _are_burnt_out(
+    grey: ndarray, points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"], per_spacing: float
+) -> Bool[ndarray, "n"]:
+    """At which points much of the window is at the top of the range: 254 of 8 bits, else the image's greatest value."""
+    usable, half = _half_windows(points_px, spacing_px, per_spacing)
+    top = 254 if grey.dtype == np.uint8 else cv2.minMaxLoc(grey)[1]
+    height, width = grey.shape
+    is_burnt_out = np.zeros(len(points_px), bool)
+    for i in np.nonzero(usable)[0]:
+        x, y = np.rint(points_px[i]).astype(int)
+        window = grey[
+            max(y - half[i], 0) : min(y + half[i] + 1, height), max(x - half[i], 0) : min(x + half[i] + 1, width)
+        ]
+        is_burnt_out[i] = window.size > 0 and np.mean(window >= top) > BURNT_OUT_SHARE
+    return is_burnt_out
