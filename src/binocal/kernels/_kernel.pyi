@@ -207,3 +207,21 @@ def grow_groups(
 ) -> int: ...
 def fit_corners(image: ndarray, inputs: Floats, results: Floats, /) -> None: ...
 def pool_corners(fits: Floats, board_xy: Floats, pooled: Floats, /) -> float: ...
+def match_templates(
+    from_image: ndarray,
+    to_image: ndarray,
+    start_from: Floats,
+    start_to: Floats,
+    start_warp: Floats,
+    half: int,
+    max_iterations: int,
+    tolerance_px: float,
+    sigma_share: float,
+    place: Floats,
+    warp: Floats,
+    likeness: Floats,
+    spread: Floats,
+    is_converged: ndarray,
+    n_threads: int,
+    /,
+) -> None: ...

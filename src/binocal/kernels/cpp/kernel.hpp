@@ -73,6 +73,7 @@ void register_corner_fit(nb::module_& module);
 void register_joint_views(nb::module_& module);
 void register_motion(nb::module_& module);
 void register_observe(nb::module_& module);
+void register_template_match(nb::module_& module);
 void register_saddles(nb::module_& module);
 void register_xcorners(nb::module_& module);
 
