@@ -166,6 +166,27 @@ EXPLANATIONS = {
     "aprilgrid-gap-wrong": """
         Kalibr's files and many printed boards differ in what they call the spacing of the tags. The board's points are estimated
         along with the rig; where their pattern is that of another gap, the sentence gives the gap that fits.""",
+    "matches-too-few": """
+        Calibration from natural images rests on points that both cameras saw. Where an image is black, blurred, overexposed or
+        shows a bare wall, or where the images of a pair do not show one scene, few are found, and no pose follows from them.""",
+    "matches-on-whole-rows": """
+        In rectified images points of one thing lie on one row. A detector that measures to whole pixels then gives matches whose
+        rows are equal to the last digit, whatever the rig's error: they would say that the rig is perfect. Windows fitted to a
+        fraction of a pixel, as binocal does, show rows as they are.""",
+    "matches-contradict": """
+        Nearly all matches of a pair must agree with one pose between the cameras. Where they do not, the images are not of one
+        moment while something moved, left and right are exchanged, the images were rectified or scaled, or the rig file is of
+        other cameras.""",
+    "scene-tells-too-little": """
+        Points that are all far away tell the rotation and not the direction of the translation; points in a small part of the
+        image tell yaw apart from the forward part of the translation only badly. Where a standard deviation exceeds a degree of
+        turn or twelve degrees of direction, nothing is said instead of something wrong.""",
+    "scene-tells-too-little-kept": """
+        As *the scene does not tell the pose*, but an old rig was given: the directions that the scene does tell are estimated,
+        the others stay as the old rig has them, with standard deviations that say so.""",
+    "pair-contradicts": """
+        The matches of all pairs are taken together. A pair of which less than half as many fit as of the others was probably not
+        taken in one moment, or shows mostly things that move.""",
     "principal-points-near-middle": """
         Through a telephoto lens a shift of the principal point moves the image almost as a turn of the camera does, with a
         little of the distortion in between. The views then leave the principal points open by a tenth of the image and more,

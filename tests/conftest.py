@@ -36,6 +36,7 @@ CHECKED = [
     "output",
     "solvers",
     "kernels",
+    "matching",
     "calibrators",
     "rl",
     "formats",

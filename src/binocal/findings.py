@@ -83,6 +83,44 @@ _SIZE_OF_CORNERS = "give the size of the image in which the corners were found"
 _R, _W, _N = Severity.REFUSAL, Severity.WARNING, Severity.NOTE
 
 _KINDS = (
+    # --- natural images
+    FindingKind(
+        "matches-too-few", _R, "Too few points are seen by both cameras",
+        "{n_matches} points of {n_pairs} pairs were matched, {n_needed} are needed: the images show too little texture, are black or "
+        "blurred, or do not show one scene; {remedy}.",
+        "give sharp pairs of one moment with texture at several depths", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "matches-on-whole-rows", _R, "Matches lie on whole rows of a pixel grid",
+        "{share_percent:.0f} % of the matches lie on exactly equal rows, as points that were measured to whole pixels of rectified "
+        "images do: they tell the grid, not the rig; {remedy}.",
+        "give matches measured to a fraction of a pixel", InconsistentViewsError,
+    ),
+    FindingKind(
+        "matches-contradict", _R, "Matches agree with no pose between the cameras",
+        "only {n_right} of {n_matches} matches agree with one pose of the cameras (noise {noise_px:.2f} px): the images of a pair are not "
+        "of one moment, left and right were exchanged in some, or the cameras are others; {remedy}.",
+        "check the pairs and that the rig is of these cameras", InconsistentViewsError,
+    ),
+    FindingKind(
+        "scene-tells-too-little", _R, "The scene does not tell the pose",
+        "the scene does not tell {what} (standard deviations: turn {turn_sigma_deg:.1f} deg, direction of the translation "
+        "{direction_sigma_deg:.0f} deg); {remedy}.",
+        "take pairs with near and far things all over the image, or give the old rig, whose values are kept then",
+        DegenerateGeometryError,
+    ),
+    FindingKind(
+        "scene-tells-too-little-kept", _W, "What the scene does not tell was kept as it was",
+        "the scene does not tell {what} (standard deviations: turn {turn_sigma_deg:.1f} deg, direction of the translation "
+        "{direction_sigma_deg:.0f} deg): it was kept at the old rig's value; {remedy}.",
+        "take pairs with near and far things all over the image",
+    ),
+    FindingKind(
+        "pair-contradicts", _W, "A pair of images fits far worse than the others",
+        "of pair {pair} only {share_percent:.0f} % of the matches fit, of all pairs {usual_percent:.0f} %: its images may not be of one "
+        "moment; {remedy}.",
+        "leave the pair out, or see what moved",
+    ),
     # --- a solved rig that is no result
     FindingKind(
         "corners-do-not-fit", _R, "Residuals are large against the spacing of the corners",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy import ndarray
@@ -62,7 +61,7 @@ def accumulate(
     pixels: Float[ndarray, "*batch views 2 n"],
     is_seen: Bool[ndarray, "*batch views n"],
     scale_px: Float[ndarray, "*batch"],
-    kernel: Literal["squared", "cauchy", "hampel"],
+    kernel: str,
     is_free: Bool[ndarray, "p"] | None = None,
     whitening: Float[ndarray, "*batch views 3 n"] | None = None,
 ) -> ViewEquations:
@@ -85,7 +84,7 @@ def accumulate_with_points(
     pixels: Float[ndarray, "*batch views 2 n"],
     is_seen: Bool[ndarray, "*batch views n"],
     scale_px: Float[ndarray, "*batch"],
-    kernel: Literal["squared", "cauchy", "hampel"],
+    kernel: str,
     is_free: Bool[ndarray, "p"] | None = None,
     whitening: Float[ndarray, "*batch views 3 n"] | None = None,
 ) -> tuple[ViewEquations, PointEquations]:
@@ -105,7 +104,7 @@ def point_gradients(
     pixels: Float[ndarray, "views 2 n"],
     is_seen: Bool[ndarray, "views n"],
     scale_px: Float[ndarray, "*batch"],
-    kernel: Literal["squared", "cauchy", "hampel"],
+    kernel: str,
     whitening: Float[ndarray, "views 3 n"] | None = None,
 ) -> Float[ndarray, "3 n"]:
     """The gradient of the board's points in all views of one rig together: the last row of the coupling."""
@@ -173,7 +172,7 @@ def squared_lengths(
 def robust_costs(
     r2_px2: Float[ndarray, "*batch n"],
     scale_px: Float[ndarray, "*batch"],
-    kernel: Literal["squared", "cauchy", "hampel"],
+    kernel: str,
 ) -> Float[ndarray, "*batch"]:
     """Robust cost of squared residual lengths, summed over the last axis."""
     batch = r2_px2.shape[:-1]

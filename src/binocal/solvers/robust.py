@@ -13,7 +13,8 @@ from numpy import ndarray
 
 from binocal.shapes import Bool, Float
 
-Kernel = Literal["squared", "cauchy", "hampel"]
+Kernel = Literal["squared", "cauchy", "hampel", "geman", "tukey"]
+"""The last two are for matches, of which many may be wrong; the compiled board equations do not have them."""
 
 MEDIAN_OF_RAYLEIGH = 1.1774100225154747  # sqrt(2 ln 2)
 SCALE_FLOOR_PX = 1e-3  # no corner is measured better; keeps exact input from being cut by its own rounding errors
@@ -25,6 +26,9 @@ A corner of Gaussian noise lies beyond 3.5 sigma once in 460, so 99.9 % of the e
 """
 
 
+TUKEY_END = 4.685
+"""Tukey's biweight in sigmas: 95 % of the efficiency under Gaussian noise."""
+
 HAMPEL_LIMIT = HAMPEL_FLAT * (0.5 * (HAMPEL_DROP + HAMPEL_END) - 0.5 * HAMPEL_FLAT)
 """Cost of a corner without weight, in squared scales."""
 
@@ -35,13 +39,17 @@ def weights(
     """IRLS weight psi(r) / r of each residual; 1 at 0.
 
     Source: Hampel 1974, "The influence curve and its role in robust estimation" (three-part redescending); Cauchy with
-    c = scale.
+    c = scale; Geman & McClure 1985 with c = scale; Beaton & Tukey 1974 (biweight).
     """
     if kernel == "squared":
         return np.ones_like(r2)
     q2 = r2 / (scale_px * scale_px)
     if kernel == "cauchy":
         return 1 / (1 + q2)
+    if kernel == "geman":
+        return 1 / (1 + q2) ** 2
+    if kernel == "tukey":
+        return np.maximum(1 - q2 / TUKEY_END**2, 0) ** 2
     w = np.ones_like(q2)
     beyond = np.nonzero(q2 > HAMPEL_FLAT**2)
     q = np.sqrt(q2[beyond])
@@ -54,7 +62,8 @@ def carries_weight(
     r2: Float[ndarray, "*batch"], scale_px: Float[ndarray, "*#batch"], kernel: Kernel
 ) -> Bool[ndarray, "*batch"]:
     """Whether a residual's weight is above 0."""
-    return r2 < (HAMPEL_END * scale_px) ** 2 if kernel == "hampel" else np.ones(r2.shape, dtype=bool)
+    ends = {"hampel": HAMPEL_END, "tukey": TUKEY_END}
+    return r2 < (ends[kernel] * scale_px) ** 2 if kernel in ends else np.ones(r2.shape, dtype=bool)
 
 
 def costs(
@@ -67,6 +76,10 @@ def costs(
     q2 = r2 / s2
     if kernel == "cauchy":
         return 0.5 * s2 * np.log1p(q2)
+    if kernel == "geman":
+        return 0.5 * s2 * q2 / (1 + q2)
+    if kernel == "tukey":
+        return s2 * TUKEY_END**2 / 6 * (1 - np.maximum(1 - q2 / TUKEY_END**2, 0) ** 3)
     rho = 0.5 * q2
     beyond = np.nonzero(q2 > HAMPEL_FLAT**2)
     q = np.sqrt(q2[beyond])

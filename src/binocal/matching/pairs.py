@@ -1,0 +1,72 @@
+"""One pair of images to its matches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.evidence.point_matches import PointMatches
+from binocal.kernels.template_match import match_templates
+from binocal.matching.features import RATIO, find_features, match_features
+from binocal.shapes import Bool, Float
+
+MIN_LIKENESS = 0.9
+MAX_SHIFT_PX = 2.5  # of a feature's own place by its window
+MAX_RETURN_PX = 0.3  # of a window matched there and back
+FEW_MATCHES = 100  # fewer whose windows agree: the features' own places serve, too
+
+
+@dataclass(frozen=True, slots=True)
+class MatchOptions:
+    """How many features are sought in an image, and how their descriptors and windows are compared."""
+
+    n_features: int = 1500
+    ratio: float = RATIO
+    half: int = 9
+    """Windows are 2 half + 1 pixels wide."""
+
+
+def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions | None = None) -> PointMatches:
+    """The matches of a pair of grey images (h, w), uint8 or uint16.
+
+    Features place them to a fifth of a pixel; windows fitted by least squares to a twentieth (:mod:`.kernels.template_match`).
+    Those whose windows do not agree are left out, unless few are left.
+    """
+    options = options or MatchOptions()
+    first, second = (find_features(_bytes(image), options.n_features) for image in (left, right))
+    found = match_features(first, second, options.ratio)
+    left_px, right_px = first.points_px[found[:, 0]], second.points_px[found[:, 1]]
+    refined, agrees = _refined(left, right, left_px, right_px, options.half)
+    if agrees.sum() >= FEW_MATCHES:
+        left_px, right_px = left_px[agrees], refined[agrees]
+    else:
+        right_px = np.where(agrees[:, None], refined, right_px)
+    sizes = [(image.shape[1], image.shape[0]) for image in (left, right)]
+    return PointMatches(left_px, right_px, np.zeros(len(left_px), dtype=int), (name,), sizes[0], sizes[1])
+
+
+def _refined(
+    left: ndarray, right: ndarray, left_px: Float[ndarray, "n 2"], right_px: Float[ndarray, "n 2"], half: int
+) -> tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]:
+    """Where the windows around the left points lie in the right image, and whether they come back from there."""
+    shown, other = (np.ascontiguousarray(image, dtype=np.float32) for image in (left, right))
+    there = match_templates(shown, other, left_px, right_px, half=half)
+    is_found = there.is_converged & (there.likeness > MIN_LIKENESS)
+    is_found &= np.linalg.norm(there.points_px - right_px, axis=1) < MAX_SHIFT_PX
+    points, warp = (
+        np.where(is_found[:, None], there.points_px, right_px),
+        np.where(is_found[:, None, None], there.warp, np.eye(2)),
+    )
+    back = match_templates(other, shown, points, left_px, np.linalg.inv(warp), half=half)
+    comes_back = back.is_converged & (np.linalg.norm(back.points_px - left_px, axis=1) < MAX_RETURN_PX)
+    return points, is_found & comes_back
+
+
+def _bytes(image: ndarray) -> ndarray:
+    """As SIFT takes it: uint8, the full range of what deeper images show."""
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image)
+    low, high = np.percentile(image, (0.5, 99.5))
+    return np.clip(255 * (image.astype(float) - low) / max(high - low, 1.0), 0, 255).astype(np.uint8)

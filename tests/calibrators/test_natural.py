@@ -1,0 +1,112 @@
+"""Calibration from matches: starts, old rigs, what scenes do not tell, and wrong input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches, intrinsics_covariance
+from binocal.errors import DegenerateGeometryError, InconsistentViewsError
+from binocal.evidence.point_matches import PointMatches
+from binocal.geometry import SE3, so3
+from streets import SIZE, T_RIGHT_LEFT, cameras, street
+
+
+def turned(axis, deg):
+    return SE3(so3.exp(np.radians(deg) * np.eye(3)[axis]) @ T_RIGHT_LEFT.R, T_RIGHT_LEFT.t)
+
+
+def solve(matches, **known):
+    return calibrate_from_matches(matches, NaturalRequest(cameras(), baseline_m=0.54, length_from="test", **known))
+
+
+def difference_deg(calibration):
+    T = calibration.rig.T_right_left
+    t, truth = T.t / np.linalg.norm(T.t), T_RIGHT_LEFT.t / np.linalg.norm(T_RIGHT_LEFT.t)
+    return np.degrees(so3.angle_rad(T.R @ T_RIGHT_LEFT.R.T)), np.degrees(np.arccos(np.clip(t @ truth, -1, 1)))
+
+
+def test_the_pose_is_found_from_nothing_and_from_old_rigs():
+    matches = street(np.random.default_rng(0), cameras(), 600, 0.1, wrong=0.1)
+    plain = solve(matches)
+    assert max(difference_deg(plain)) < 0.3
+    assert plain.rig.baseline_m == pytest.approx(0.54) and plain.rig.is_metric
+    for axis in range(3):
+        again = solve(matches, old=turned(axis, 3.0))
+        np.testing.assert_allclose(again.rig.T_right_left.R, plain.rig.T_right_left.R, atol=1e-6)
+
+
+def test_the_sign_of_the_translation_is_that_of_visible_points():
+    matches = street(np.random.default_rng(1), cameras(), 400, 0.1)
+    swapped = PointMatches(matches.right_px, matches.left_px, matches.pair, matches.names, SIZE, SIZE)
+    calibration = calibrate_from_matches(swapped, NaturalRequest(cameras()[::-1]))
+    assert calibration.rig.T_right_left.t[0] > 0 and not calibration.rig.is_metric
+
+
+def test_standard_deviations_hold_with_wrong_intrinsics():
+    """Cameras as uncertain as assumed: 40 draws x 3 angles, and the direction."""
+    scores = []
+    rng = np.random.default_rng(2)
+    sigma = np.linalg.cholesky(intrinsics_covariance(cameras(), None) + 1e-18 * np.eye(18))
+    for _ in range(40):
+        matches = street(rng, cameras(), 300, 0.1)
+        moved = sigma @ rng.normal(size=18)
+        wrong = tuple(
+            replace(c, parameters=c.parameters + m) for c, m in zip(cameras(), (moved[:9], moved[9:]), strict=True)
+        )
+        calibration = calibrate_from_matches(matches, NaturalRequest(wrong, baseline_m=0.54))
+        T, s = calibration.rig.T_right_left, calibration.covariance.sigma
+        scores.append(so3.log(T.R @ T_RIGHT_LEFT.R.T) / [s[f"rotation.{a}"] for a in "xyz"])
+    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3
+
+
+def test_what_a_far_scene_does_not_tell_is_kept_or_refused():
+    rng = np.random.default_rng(3)
+    near = street(rng, cameras(), 300, 0.1)
+    rays = cameras()[0].unproject(near.left_px)
+    right = cameras()[1].project(T_RIGHT_LEFT.apply(rays * 1e6)) + rng.normal(0, 0.1, near.right_px.shape)
+    inside = ((right > 0) & (right < np.array(SIZE))).all(axis=1)
+    far = replace(near, right_px=np.where(inside[:, None], right, near.left_px)).select(inside)
+    with pytest.raises(DegenerateGeometryError, match="does not tell"):
+        solve(far)
+    old = SE3(turned(0, 0.5).R, T_RIGHT_LEFT.t)
+    kept = solve(far, old=old)
+    assert [f.code for f in kept.findings] == ["scene-tells-too-little-kept"]
+    rotation_deg, direction_deg = difference_deg(kept)
+    assert rotation_deg < 0.1 and direction_deg < 0.01
+
+
+def test_pairs_that_contradict_are_named():
+    rng = np.random.default_rng(4)
+    parts = [street(rng, cameras(), 200, 0.1) for _ in range(3)]
+    shuffled = replace(parts[1], right_px=rng.permutation(parts[1].right_px))
+    matches = PointMatches.joined(
+        [replace(p, names=(name,)) for p, name in zip((parts[0], shuffled, parts[2]), "abc", strict=True)]
+    )
+    found = solve(matches).findings
+    assert [(f.code, f.figures["pair"]) for f in found] == [("pair-contradicts", "b")]
+
+
+def test_matches_that_tell_nothing_are_refused():
+    rng = np.random.default_rng(5)
+    good = street(rng, cameras(), 200, 0.1)
+    with pytest.raises(DegenerateGeometryError, match="20 points of 1 pairs"):
+        solve(good.select(np.arange(20)))
+    with pytest.raises(InconsistentViewsError, match="agree with one pose"):
+        solve(replace(good, right_px=rng.uniform(0, 1, good.right_px.shape) * SIZE))
+    on_rows = good.left_px.round()
+    with pytest.raises(InconsistentViewsError, match="tell the grid"):
+        solve(replace(good, left_px=on_rows, right_px=on_rows - [12.0, 0.0]))
+
+
+def test_matches_are_checked():
+    with pytest.raises(ValueError, match="finite"):
+        PointMatches(np.full((3, 2), np.nan), np.zeros((3, 2)), np.zeros(3, dtype=int), ("a",), SIZE, SIZE)
+    with pytest.raises(ValueError, match="within"):
+        PointMatches(np.zeros((3, 2)), np.zeros((3, 2)), np.full(3, 1), ("a",), SIZE, SIZE)
+    two = PointMatches(np.zeros((3, 2)), np.zeros((3, 2)), np.array([0, 1, 1]), ("a", "b"), SIZE, SIZE)
+    assert len(two.of_pairs([1])) == 2 and two.of_pairs([1]).names == ("b",)
+    with pytest.raises(ValueError, match="different sizes"):
+        PointMatches.joined([two, replace(two, left_size_wh=(10, 10))])
