@@ -34,6 +34,8 @@ CHECKED = [
     "progress",
     "plugins",
     "output",
+    "input_file",
+    "yaml_text",
     "solvers",
     "kernels",
     "calibrators",
