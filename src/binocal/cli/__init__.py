@@ -5,6 +5,7 @@ Nothing heavy is imported before a verb runs, so that ``binocal --help`` answers
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 
@@ -14,8 +15,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 fine, 1 failure while running, 2 usage, 3 input unusable, 4 finished but below the quality asked for,
     130 interrupted.
     """
-    from binocal.cli.process import settle_process
-    from binocal.cli.running import run
+    try:
+        from binocal.cli.process import interrupted_by_signals, settle_process
+        from binocal.cli.running import run
 
-    settle_process()
-    return run(arguments)
+        settle_process()
+        with interrupted_by_signals():
+            return run(arguments)
+    except KeyboardInterrupt:  # while the modules load: nothing was begun
+        sys.stderr.write("binocal: interrupted; no file was left half written.\n")
+        return 130
