@@ -35,6 +35,7 @@ CHECKED = [
     "plugins",
     "output",
     "input_file",
+    "interruption",
     "yaml_text",
     "solvers",
     "kernels",

@@ -18,6 +18,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 
 from binocal.errors import DataError, OutputError, OutputExistsError
+from binocal.interruption import add_part, forget_part, uncut
 
 try:
     import fcntl
@@ -75,11 +76,12 @@ def write_together(contents: Mapping[str | Path, Content], *, force: bool = Fals
         for path, content in targets:
             data = content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content
             asides.append((parts.enter_context(_part_file(path, data)), path))
-        for aside, path in asides:
-            try:
-                os.replace(aside, path)
-            except OSError as error:
-                raise OutputError(path, _words(error)) from None
+        with uncut():
+            for aside, path in asides:
+                try:
+                    os.replace(aside, path)
+                except OSError as error:
+                    raise OutputError(path, _words(error)) from None
 
 
 def check_output_folder(output: str | Path, *, force: bool = False) -> Path:
@@ -143,7 +145,8 @@ def staged_folder(
                 output / path.relative_to(aside) if aside in path.parents else path, error.problem
             ) from None
         try:
-            _put_in_place(aside, output, former, last)
+            with uncut():
+                _put_in_place(aside, output, former, last)
         except OSError as error:
             raise OutputError(output, _words(error)) from None
 
@@ -152,7 +155,6 @@ def _put_in_place(
     aside: Path, output: Path, former: Callable[[Path], Collection[str]] | None, last: Collection[str]
 ) -> None:
     if not output.exists():
-        os.chmod(aside, 0o777 & ~_umask())
         os.rename(aside, output)
         return
     new, old = _files(aside), _files(output)
@@ -202,17 +204,19 @@ def _part_file(path: Path, data: bytes | memoryview) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             os.unlink(aside)
+        forget_part(aside.absolute())
         _release(lock)
 
 
 @contextlib.contextmanager
 def _part_folder(output: Path) -> Iterator[Path]:
     """A folder beside ``output``, removed at the end of the block if it is still there."""
-    aside, lock = _locked_part(output, lambda part: os.mkdir(part, 0o700))
+    aside, lock = _locked_part(output, os.mkdir)
     try:
         yield aside
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+        forget_part(aside.absolute())
         _release(lock)
 
 
@@ -222,6 +226,7 @@ def _locked_part(path: Path, make: Callable[[Path], None]) -> tuple[Path, int | 
     while True:
         part = path.with_name(f".{_part_stem(path)}.{secrets.token_hex(4)}.part")
         try:
+            add_part(part.absolute())
             make(part)
             lock = _lock(part)
         except FileNotFoundError:
@@ -303,12 +308,6 @@ def _make_parent(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{_shown(path.parent)}: the output's folder cannot be made: {_words(error)}.") from None
-
-
-def _umask() -> int:
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
 
 
 def _words(error: Exception) -> str:

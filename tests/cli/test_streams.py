@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 
+import cv2
+import numpy as np
 import pytest
 
 from binocal.formats import rig_json
@@ -74,23 +76,59 @@ def test_an_encoding_without_our_characters_is_no_failure(folder):
 
 
 INTERRUPT_WHILE_LOADING = """
-import os, signal, sys
+import os, signal, sys, threading
 class Interrupter:
     def find_spec(self, name, *_):
-        if name == sys.argv[1]:
+        if name == os.environ["AT"] and not self.done:
+            self.done = True
             os.kill(os.getpid(), signal.SIGINT)
+            if threading.current_thread() is not threading.main_thread():
+                threading.Event().wait()  # as a module that another interrupted import holds up
+    done = False
 sys.meta_path.insert(0, Interrupter())
 from binocal.cli import main
-sys.exit(main(["evaluate", "rig.json", "--truth", "none.json"]))
+sys.exit(main())
 """
 
 
 @pytest.mark.parametrize(
-    "module", ["binocal.cli.process", "binocal.cli.running", "typer", "binocal.cli.verbs", "numpy", "binocal.app"]
+    "module",
+    [
+        "binocal.cli.process",
+        "binocal.cli.running",
+        "typer",
+        "binocal.cli.verbs",
+        "numpy",
+        "binocal.app",
+        "binocal.result",
+    ],
 )
 def test_an_interrupt_while_modules_load_is_one_line(folder, module):
+    arguments = ["evaluate", "rig.json", "--truth", "none.json", "--json"]
     done = subprocess.run(
-        [sys.executable, "-c", INTERRUPT_WHILE_LOADING, module], cwd=folder, capture_output=True, timeout=60
+        [sys.executable, "-c", INTERRUPT_WHILE_LOADING, *arguments],
+        cwd=folder,
+        env=os.environ | {"AT": module},
+        capture_output=True,
+        timeout=60,
+    )
+    assert done.returncode == 130 and b"interrupted" in one_line(done.stderr)
+    if module not in ("binocal.cli.process", "binocal.cli.running"):  # by then it knows what was asked for
+        assert json.loads(done.stdout)["error"]["code"] == "interrupted"
+
+
+def test_an_interrupt_while_another_thread_loads_modules_ends_all_threads(tmp_path):
+    for side in ("left", "right"):
+        for index in range(3):
+            image = np.random.default_rng(index).integers(0, 255, (96, 128), dtype=np.uint8)
+            cv2.imwrite(str(tmp_path / f"{side}{index}.png"), image)
+    arguments = ["calibrate", "--left", "left*", "--right", "right*", "--board", "chessboard:9x6:20mm"]
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPT_WHILE_LOADING, *arguments],
+        cwd=tmp_path,
+        env=os.environ | {"AT": "binocal.calibrators.learned"},
+        capture_output=True,
+        timeout=60,
     )
     assert done.returncode == 130 and b"interrupted" in one_line(done.stderr)
 

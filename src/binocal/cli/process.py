@@ -6,16 +6,15 @@ import atexit
 import contextlib
 import gc
 import os
-import signal
-import threading
-from collections.abc import Iterator
-from typing import Any
 
-from binocal.cli.streams import settle_streams
+from binocal.cli.exits import INTERRUPT_TEXT, INTERRUPTED
+from binocal.cli.streams import is_printing, settle_streams
+from binocal.interruption import end_process_on_signals
 
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # glibc's <malloc.h>
 LARGEST_KEPT_BYTES = 32 << 20  # the most that glibc allows
 KEPT_BYTES = 256 << 20
+SHOW_CURSOR = "\r\x1b[J\x1b[?25h"
 ALLOCATIONS_PER_COLLECTION = 100_000  # of Python's own 700, there are a hundred while the modules load
 
 
@@ -29,39 +28,28 @@ def settle_process() -> None:
     settle_streams()
     gc.set_threshold(ALLOCATIONS_PER_COLLECTION, *gc.get_threshold()[1:])
     atexit.register(gc.freeze)
-    atexit.register(_ignore_interrupts)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if not any(name.startswith("MALLOC_") for name in os.environ):
         _keep_freed_memory()
 
 
-@contextlib.contextmanager
-def interrupted_by_signals() -> Iterator[None]:
-    """Inside the block SIGTERM and SIGHUP end the work as Ctrl-C does: what was made aside is removed.
-
-    Where they are handled or ignored (``nohup``) already, and outside the main thread, nothing changes.
-    """
-    is_main = threading.current_thread() is threading.main_thread()
-    names = ("SIGTERM", "SIGHUP") if is_main else ()
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    taken = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
-    for number in taken:
-        signal.signal(number, _interrupt)
-    try:
-        yield
-    finally:
-        for number in taken:
-            signal.signal(number, signal.SIG_DFL)
+def end_on_signals(wants_json: bool) -> None:
+    """Ctrl-C, SIGTERM and SIGHUP end this process at once, with a line and the exit code for it."""
+    end_process_on_signals(lambda: _end(wants_json))
 
 
-def _interrupt(*_: Any) -> None:
-    raise KeyboardInterrupt
+def _end(wants_json: bool) -> None:
+    """Says that it was interrupted, past all buffers, and leaves without waiting for any thread."""
+    restore = SHOW_CURSOR if os.isatty(2) else ""  # a progress bar may have hidden it
+    _write(2, f"{restore}binocal: {INTERRUPT_TEXT}\n")
+    if wants_json and not is_printing():
+        _write(1, f'{{"error": {{"code": "interrupted", "message": "{INTERRUPT_TEXT}"}}}}\n')
+    os._exit(INTERRUPTED)
 
 
-def _ignore_interrupts() -> None:
-    """All is done and said when Python ends; an interrupt then would only be a traceback."""
-    with contextlib.suppress(ValueError):  # not the main thread
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _write(descriptor: int, text: str) -> None:
+    with contextlib.suppress(OSError):
+        os.write(descriptor, text.encode("ascii"))
 
 
 def _keep_freed_memory() -> None:

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from binocal.cli.exits import FAILED, FINE, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
+from binocal.cli.exits import FAILED, FINE, INTERRUPT_TEXT, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
 from binocal.cli.streams import discard, finish_stdout, print_document, say
 from binocal.errors import (
     BinocalError,
@@ -28,7 +28,6 @@ FAILURES = (
     PluginError,
     OutputError,
 )  # while running; other errors are the input's
-INTERRUPT_TEXT = "interrupted; no file was left half written."
 # What a path of the user's own can be at fault for; anything else that the system refuses is a failure while running.
 PATH_ERRORS = frozenset((errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP))
 

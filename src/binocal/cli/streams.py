@@ -40,8 +40,20 @@ def say(line: str) -> None:
         discard(2)
 
 
+class _Printing:
+    """Whether a document is on its way, which another must not follow."""
+
+    has_begun = False
+
+
+def is_printing() -> bool:
+    """Whether a document has been, or is being, printed."""
+    return _Printing.has_begun
+
+
 def print_document(text: str) -> None:
     """A JSON document on stdout, in ASCII where stdout cannot say all of it."""
+    _Printing.has_begun = True
     try:
         text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
     except UnicodeEncodeError:
