@@ -20,16 +20,17 @@ this page.
 Results go to stdout, everything else (what was ignored or dropped and why, progress) to stderr.
 With `--json`, stdout holds exactly one document, on errors too:
 `{"error": {"code": ..., "message": ...}}`. Nothing is overwritten without `--force`; a file is
-there in full or not at all.
+there in full or not at all, a folder too, whenever a command ends or is killed. What a killed one
+leaves is hidden, ends in `.part`, and is removed by the next that writes the same output.
 
 | exit code | meaning |
 |---|---|
 | 0 | fine |
-| 1 | failure while running |
+| 1 | failure while running, such as a full disk or a stdout that takes nothing |
 | 2 | usage: an option is wrong |
 | 3 | input unusable; the text names which image or view, why, and what to do |
 | 4 | finished, but below the quality asked for (`--max-rms`) |
-| 130 | interrupted |
+| 130 | interrupted, by Ctrl-C, SIGTERM or SIGHUP |
 """
 
 

@@ -10,9 +10,10 @@ from binocal import app
 from binocal.boards import parse_board
 from binocal.errors import DataError, OutputExistsError, TooFewViewsError
 from binocal.formats import rig_json
+from binocal.geometry import SE3
 from binocal.metrics.pose import scaled
 from fakes import FakePackages
-from rigs import make_poses, make_rig
+from rigs import make_calibration, make_poses, make_rig
 
 BOARD = parse_board("chessboard:11x8:10mm")
 
@@ -124,6 +125,19 @@ def test_the_truth_is_met_with_the_bound_of_the_views_used(fakes, truth):
 
 
 @pytest.mark.usefixtures("few_bound_rigs")
+@pytest.mark.parametrize("kind", ["one view", "parallel views"])
+def test_a_truth_whose_views_determine_nothing_has_no_bound(kind):
+    n_views = 1 if kind == "one view" else 3
+    calibration = make_calibration(n_views=n_views)
+    poses = make_poses(1, np.random.default_rng(0))
+    R = poses.R if kind == "one view" else np.eye(3)[None]
+    poses = SE3(np.repeat(R, n_views, axis=0), np.repeat(poses.t, n_views, axis=0))
+    names = tuple(view.name for view in calibration.views)
+    truth = rig_json.Truth(make_rig(), parse_board("chessboard:11x8:10mm"), names, poses)
+    evaluation = app.evaluate_truth(calibration, truth)
+    assert not evaluation.comparison.has_bound and "no bound: the truth's views" in evaluation.notes[0]
+
+
 def test_a_rig_in_pitches_is_scaled_by_the_truths_board(fakes, truth):
     calibration = app.calibrate_images("l", "r", BOARD).calibration
     in_pitches = replace(calibration, rig=replace(scaled(fakes.rig, 100.0), is_metric=False))

@@ -93,6 +93,7 @@ def exceptions():
         errors.FormatError: ("rig.json", "is not JSON"),
         errors.SceneError: ("no room", 3, 20),
         errors.OutputExistsError: ("rig.json",),
+        errors.OutputError: ("rig.json", "No space left on device"),
         errors.TooFewViewsError: (2, 3, {"05": "blurred"}),
         errors.TooFewPointsError: ("view 3, left", 2, 4),
         errors.MissingExtraError: ("training", "train"),

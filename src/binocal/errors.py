@@ -7,7 +7,8 @@
     │   ├── FormatError         a file is not what it should be
     │   ├── DetectionError      no usable board in the images
     │   ├── SceneError          the simulator cannot place the board as asked
-    │   └── OutputExistsError   a result would overwrite a file
+    │   ├── OutputExistsError   a result would overwrite a file
+    │   └── OutputError         a result cannot be written, on a full disk say   (CLI exit code 1)
     ├── CalibrationError        the input is readable, no trustworthy rig follows from it   (CLI exit code 3)
     │   ├── TooFewViewsError
     │   ├── TooFewPointsError
@@ -81,6 +82,14 @@ class OutputExistsError(DataError, FileExistsError):
     def __init__(self, path: object) -> None:
         super().__init__(f"{path} exists already; choose another output, or overwrite it with --force (force=True).")
         self.path = path
+
+
+class OutputError(DataError):
+    """A result cannot be written, because the disk is full say; ``path`` names it. What was there is as it was."""
+
+    def __init__(self, path: object, problem: str) -> None:
+        super().__init__(f"{path}: cannot be written: {problem}.")
+        self.path, self.problem = path, problem
 
 
 class CalibrationError(BinocalError):

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from binocal.boards import Board, format_board, load_board, parse_board
+from binocal.boards.dictionaries import DICTIONARY_SIZES
 from binocal.errors import FormatError
 
 
@@ -73,7 +75,7 @@ def test_kalibr_targets_are_read(tmp_path):
 
 
 def test_a_bad_board_file_is_named(tmp_path):
-    with pytest.raises(FormatError, match="no such board file"):
+    with pytest.raises(FormatError, match="no such file"):
         load_board(str(tmp_path / "none.yaml"))
     path = tmp_path / "bad.yaml"
     path.write_text("target_type: aprilgrid\n")
@@ -119,6 +121,75 @@ def test_other_bad_board_files_are_named(text, words, tmp_path):
     assert "bad.yaml" in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_the_dictionaries_are_opencvs():
+    theirs = {name: getattr(cv2.aruco, name) for name in dir(cv2.aruco) if name.startswith("DICT_")}
+    sizes = {name: len(cv2.aruco.getPredefinedDictionary(which).bytesList) for name, which in theirs.items()}
+    assert sizes.items() <= DICTIONARY_SIZES.items()
+
+
+def test_a_board_without_a_spec_needs_a_dictionary_too():
+    with pytest.raises(ValueError, match="'DICT_5X5' is not an ArUco dictionary"):
+        Board("charuco", 5, 7, 0.03, True, 0.02, "DICT_5X5")
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("charuco:5x7:30mm:22mm:DICT_5X5", r"'DICT_5X5' is not an ArUco dictionary.*DICT_5X5_50"),
+        ("charuco:20x30:30mm:22mm:DICT_5X5_100", r"has 100 markers, but the board bears 300; DICT_\dX\d_1000"),
+        ("aprilgrid:6x6:88mm:nan", "gap between tags"),
+        ("aprilgrid:6x6:88mm:inf", "gap between tags"),
+        ("aprilgrid:6x6:88mm:-1", "gap between tags"),
+        ("aprilgrid:6x6:88mm:third", "gap between tags"),
+        ("aprilgrid:30x30:88mm:0.3", "more tags than the 587"),
+        ("chessboard:99999x99999:30mm", "too large"),
+        ("chessboard:" + "9" * 5000 + "x6:30mm", "too large"),
+        ("chessboard:9x6:30m", r"pitch of 30 m is not plausible.*30mm"),
+        ("chessboard:9x6:1e400mm", "is not a length"),
+    ],
+)
+def test_an_impossible_board_is_refused_by_name(spec, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        parse_board(spec)
+    assert len(str(caught.value)) < 400
+
+
+KALIBR = "target_type: checkerboard\ntargetCols: {}\ntargetRows: 6\nrowSpacingMeters: {}\ncolSpacingMeters: {}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (KALIBR.format("6.9", "0.03", "0.03"), "targetCols must be a whole number; got '6.9'"),
+        (KALIBR.format(".inf", "0.03", "0.03"), "targetCols must be a whole number"),
+        (KALIBR.format("true", "0.03", "0.03"), "targetCols must be a whole number"),
+        (KALIBR.format("9", ".inf", ".inf"), "colSpacingMeters must be a positive number"),
+        (KALIBR.format("9", "1" + "0" * 400, "0.03"), "rowSpacingMeters must be a positive number"),
+        (KALIBR.format("9", "9" * 5000, "0.03"), "cannot be read as YAML"),
+        (KALIBR.format("9", "30", "30"), "pitch of 30 m is not plausible"),
+        ("[" * 5000, "nested too deeply"),
+        ("board: !!int ''", "cannot be read as YAML"),
+        ("board: !!bool maybe", "cannot be read as YAML"),
+        ("board: 2001-99-99", "cannot be read as YAML"),
+        ("#" * 100_000, "larger than the 64 kB"),
+    ],
+)
+def test_a_board_file_of_impossible_values_is_named(text, words, tmp_path):
+    path = tmp_path / "board.yaml"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=words) as caught:
+        load_board(str(path))
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+def test_a_board_file_whose_aliases_have_no_end_is_refused_at_once(tmp_path):
+    path = tmp_path / "bomb.yaml"
+    rows = ["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 40)]
+    path.write_text("\n".join([*rows, "board: *a39"]))
+    with pytest.raises(FormatError, match="alias"):
+        load_board(str(path))
+
+
 @settings(max_examples=200, derandomize=True)
 @given(st.text(alphabet="chesboardurcilgp:x0123456789.m ", max_size=24))
 def test_any_text_is_a_board_or_one_clear_line(text):
@@ -141,7 +212,7 @@ def boards(draw):
     pitch_m, is_metric = draw(LENGTHS), draw(st.booleans()) if kind != "charuco" else True
     given_board = {"is_metric": is_metric}
     if kind == "charuco":
-        given_board |= {"marker_m": round(pitch_m * draw(st.floats(0.3, 0.9)), 7), "dictionary": "DICT_5X5_50"}
+        given_board |= {"marker_m": round(pitch_m * draw(st.floats(0.3, 0.9)), 7), "dictionary": "DICT_5X5_250"}
     if kind == "aprilgrid":
         given_board |= {"dictionary": "tag36h11", "tag_gap_ratio": round(draw(st.floats(0.1, 0.9)), 3)}
     return Board(kind, columns, rows, pitch_m if is_metric else 1.0, **given_board)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 
 import pytest
 
@@ -282,7 +283,7 @@ def test_an_earlier_rig_is_a_prior_and_parts_of_it_are_held(fakes, capsys):
     [
         (["--hold", "left"], 2, "name the prior with --prior"),
         (["--prior", "earlier.json", "--hold", ""], 2, "empty name"),
-        (["--prior", "none.json"], 3, "none.json: no such file"),
+        (["--prior", "none.json"], 3, "none.json: there is no such file"),
         (["--prior", "earlier.json", "--hold", "nose"], 2, "no 'nose' to hold"),
         (["--prior", "earlier.json", "--model", "fisheye4"], 2, "leave out --model"),
     ],
@@ -291,3 +292,48 @@ def test_a_prior_that_cannot_be_is_named(arguments, code, words, fakes, capsys):
     assert main([*CALIBRATE, "--output", "earlier.json"]) == 0
     assert main([*CALIBRATE, "--output", "next.json", *arguments]) == code
     assert words in capsys.readouterr().err and not os.path.exists("next.json")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--output", "rig.yml", "--opencv", "rig.yml"],
+        ["--output", "both/extrinsics.yml", "--opencv", "both"],
+        ["--output", "rig.json", "--opencv", "new/../rig.yml", "--evidence", "rig.yml"],
+    ],
+)
+def test_two_outputs_are_two_files(fakes, capsys, options):
+    assert main([*CALIBRATE, *options]) == 2
+    assert "name the same file" in capsys.readouterr().err and "list_pairs" not in fakes.calls
+
+
+@pytest.mark.parametrize("value", ["inf", "nan", "1e400", "-inf"])
+@pytest.mark.parametrize("option", ["--blur", "--noise"])
+def test_numbers_of_a_simulation_are_finite(fakes, capsys, option, value):
+    assert main(["simulate", "--board", "chessboard:11x8:10mm", "--pairs", "2", "--output", "o", option, value]) == 2
+    assert capsys.readouterr().err.count("\n") == 1 and os.listdir() == []
+
+
+@pytest.mark.parametrize("change", ["singular", "infinite"])
+def test_a_prior_of_a_singular_covariance_is_the_files_fault(fakes, capsys, change):
+    assert main([*CALIBRATE, "--output", "earlier.json"]) == 0
+    document = json.loads(Path("earlier.json").read_text())
+    matrix = document["covariance"]["matrix"]
+    matrix[1] = matrix[0] if change == "singular" else [None] * len(matrix)
+    for row in matrix if change == "singular" else ():
+        row[1] = row[0]
+    Path("earlier.json").write_text(json.dumps(document))
+    capsys.readouterr()
+    assert main([*CALIBRATE, "--output", "next.json", "--prior", "earlier.json"]) == 3
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_what_opencv_cannot_hold_does_not_lose_the_rig(fakes, capsys, monkeypatch):
+    from binocal.formats import opencv_yaml
+
+    def refuse(*_, **__):
+        raise errors.DataError("OpenCV has no such lens.")
+
+    monkeypatch.setattr(opencv_yaml, "opencv_texts", refuse)
+    assert main([*CALIBRATE, "--opencv", "rig.yml"]) == 3
+    assert "no such lens" in capsys.readouterr().err and os.listdir() == ["rig.json"]

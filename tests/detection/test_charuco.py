@@ -53,7 +53,7 @@ def test_the_markers_tell_the_number_of_columns(shoot):
 
 
 def test_an_unknown_dictionary_is_the_callers_mistake(shoot):
-    with pytest.raises(ValueError, match="no ArUco dictionary"):
+    with pytest.raises(ValueError, match="not an ArUco dictionary"):
         detect(shoot(SPEC).image, parse_board("charuco:8x6:30mm:22mm:DICT_NONE"))
 
 

@@ -145,3 +145,16 @@ def test_nothing_to_read(tmp_path):
     pair = ImagePair("0", tmp_path / "left.png", tmp_path / "right.png")
     with pytest.raises(DataError, match=r"none of the 2 images can be read.*no such file"):
         detect_pairs((pair,), BOARD)
+
+
+def test_files_with_several_images_are_named(tmp_path):
+    """Only the first image of a stack is read: with too few pairs that is what is wrong, else it is said."""
+    pages = [np.full((48, 64), value, np.uint8) for value in (10, 20, 30)]
+    pairs = []
+    for index in range(3):
+        paths = [tmp_path / f"{side}{index}.tif" for side in ("left", "right")]
+        for path in paths:
+            cv2.imwritemulti(str(path), pages)
+        pairs.append(ImagePair(str(index), *paths))
+    with pytest.raises(DataError, match=r"1 pair of images: 1 of 1 left files.*left0\.tif 3 of them.*export them"):
+        detect_pairs(pairs[:1], BOARD)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -168,3 +169,19 @@ def test_any_name_comes_back(view_names):
     with tempfile.TemporaryDirectory() as folder:
         write_detections(Path(folder) / "c.npz", named)
         assert read_detections(Path(folder) / "c.npz").names == tuple(view_names)
+
+
+def test_an_archive_that_fills_more_than_its_file_is_refused_unread(tmp_path):
+    path = tmp_path / "corners.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("header.npy", bytes(64 << 20))
+    assert path.stat().st_size < 100_000
+    for read in (read_detections, is_detections_file):
+        tracemalloc.start()
+        try:
+            assert read(path) is False
+        except FormatError as error:
+            assert "times the file" in str(error)
+        _, most_bytes = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert most_bytes < 40 << 20

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import tempfile
 import warnings
 from pathlib import Path
@@ -10,6 +11,8 @@ from hypothesis import assume, given
 
 from binocal.errors import DataError, DegenerateGeometryError, FormatError, OutputExistsError
 from binocal.formats import opencv_yaml
+from binocal.formats.opencv_yaml import read_opencv
+from binocal.formats.registry import find_format
 from rigs import assert_same_rig, make_rig, rigs
 
 
@@ -156,3 +159,89 @@ def test_real_files(data_dir):
         opencv_yaml.read_opencv(data_dir / "opencv_bouguet" / "left_intrinsics.yml")
     with pytest.raises(FormatError, match="matrix R is missing"):
         opencv_yaml.read_opencv(data_dir / "opencv_bouguet" / "intrinsics.yml")
+
+
+GOOD_YAML = """%YAML:1.0
+---
+imageSize: [ 640, 480 ]
+M1: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]
+M2: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
+T: !!opencv-matrix
+   rows: 3
+   cols: 1
+   dt: d
+   data: [ -0.1, 0., 0. ]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("500.", "1" + "0" * 400),
+        ("500.", "9" * 5000),
+        ("500.", ".inf"),
+        ("-0.1", ".nan"),
+        ("[ 640, 480 ]", "[ .inf, 480 ]"),
+        ("[ 640, 480 ]", "[ 1" + "0" * 400 + ", 480 ]"),
+        ("[ 640, 480 ]", "[ 640, [480, 1] ]"),
+        ("rows: 3", "rows: .inf"),
+        ("rows: 3", "rows: -3"),
+        ("rows: 3", "rows: 3.5"),
+        ("   cols: 3", "   sizes: [ " + "1, " * 70 + "9 ]"),
+        ("dt: d", "dt: '99999999999999999999d'"),
+        ("T: !!opencv-matrix", "D1: { a: 1 }\nT: !!opencv-matrix"),
+        ("T: !!opencv-matrix", "R1: nonsense\nT: !!opencv-matrix"),
+        ("T: !!opencv-matrix", "unit: " + "x" * 5000 + "\nT: !!opencv-matrix"),
+        ("T: !!opencv-matrix", "x: &a [1]\ny: *a\nT: !!opencv-matrix"),
+        ("T: !!opencv-matrix", "x: " + "[" * 3000 + "\nT: !!opencv-matrix"),
+        ("T: !!opencv-matrix", "x: !!int ''\nT: !!opencv-matrix"),
+    ],
+)
+def test_impossible_values_are_one_line(tmp_path, old, new):
+    path = tmp_path / "rig.yml"
+    path.write_text(GOOD_YAML)
+    assert read_opencv(path).baseline_m == 0.1
+    path.write_text(GOOD_YAML.replace(old, new))
+    with pytest.raises(FormatError) as caught:
+        read_opencv(path)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
+    find_format(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"M1": ' + "9" * 5000 + "}",
+        '{"M1": ' + "[" * 100_000,
+        '<?xml version="1.0" encoding="utf-16"?><opencv_storage/>',
+        '<?xml version="1.0" encoding="nonsense"?><opencv_storage/>',
+        "<a>" * 20_000,
+        "<opencv_storage>" + "<a>" * 20_000 + "</a>" * 20_000 + "</opencv_storage>",
+    ],
+)
+def test_impossible_json_and_xml_are_one_line(tmp_path, text):
+    path = tmp_path / "rig.xml"
+    path.write_text(text)
+    with pytest.raises(FormatError) as caught:
+        read_opencv(path)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
+
+
+def test_pipes_are_no_files(tmp_path):
+    os.mkfifo(tmp_path / "rig.yml")
+    with pytest.raises(FormatError, match="is a pipe"):
+        read_opencv(tmp_path / "rig.yml")
+    assert find_format(tmp_path / "rig.yml") is None

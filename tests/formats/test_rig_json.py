@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import tempfile
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -136,6 +137,11 @@ def test_truth_comes_back_whole(tmp_path):
         (lambda d: d.update(unit="mm"), "'unit': expected"),
         (lambda d: d["left"].update(fx=10**400), r"'left\.fx': expected a number"),
         (lambda d: d["left"].update(fx=math.inf), "holds Infinity"),
+        (lambda d: d["left"].update(fx=int("9" * 4000)), "whole number of 4000 digits"),
+        (lambda d: d["left"].update(image_size=[10**400, 480]), r"'left\.image_size': expected 2 numbers"),
+        (lambda d: d["left"].update(image_size=[1e300, 480]), r"'left\.image_size': expected two whole numbers"),
+        (lambda d: d["left"].update(image_size=[640.5, 480]), r"'left\.image_size': expected two whole numbers"),
+        (lambda d: d.update(T=[10**400, 0, 0]), "'T': expected 3 numbers"),
     ],
 )
 def test_a_broken_file_is_named_with_its_key(tmp_path, change, expected):
@@ -159,6 +165,7 @@ def test_a_broken_file_is_named_with_its_key(tmp_path, change, expected):
         ),
         (lambda d: d["views"][0].update(right_order=[0.5]), r"'views\[0\]\.right_order': expected a list of whole"),
         (lambda d: d.update(misfit_px="none"), "'misfit_px': expected a number or null"),
+        (lambda d: d.update(n_iterations=10**300), "'n_iterations': expected a whole number"),
     ],
 )
 def test_a_broken_view_is_named_with_its_key(tmp_path, change, expected):
@@ -181,3 +188,10 @@ def test_what_is_not_json_is_refused(tmp_path, content):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FormatError, match="no such file"):
         rig_json.read_calibration(tmp_path / "no.json")
+
+
+def test_a_pipe_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "rig.json")
+    with pytest.raises(FormatError, match="is a pipe"):
+        rig_json.read_rig(tmp_path / "rig.json")
+    assert not rig_json.is_rig_file(tmp_path / "rig.json")

@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import os
 import struct
+import subprocess
+import sys
+import zlib
 
 import cv2
 import numpy as np
@@ -9,6 +13,8 @@ import pytest
 from binocal.errors import FormatError
 from binocal.images import read_grey_image, read_image, to_grey
 from binocal.images.containers import identify_container
+from binocal.images.reading import read_stored_image
+from binocal.images.tiff import count_pages
 
 SHAPES = {"grey": (48, 64), "colour": (48, 64, 3), "alpha": (48, 64, 4)}
 
@@ -124,3 +130,122 @@ def test_containers_are_known_by_their_content():
         "PNG", "JPEG", "TIFF", "BMP", "PNM",
     ]  # fmt: skip
     assert identify_container(b"GIF89a") is None
+
+
+def tiff_with(content, tag, value):
+    """A little-endian TIFF with one more tag, its directory moved to the end."""
+    (at,) = struct.unpack_from("<I", content, 4)
+    (n_entries,) = struct.unpack_from("<H", content, at)
+    entries = [content[at + 2 + 12 * i : at + 14 + 12 * i] for i in range(n_entries)]
+    entries = [entry for entry in entries if struct.unpack_from("<H", entry)[0] != tag]
+    entries.append(struct.pack("<HHIHH", tag, 3, 1, value, 0))
+    directory = struct.pack("<H", len(entries)) + b"".join(sorted(entries)) + struct.pack("<I", 0)
+    return content[:4] + struct.pack("<I", len(content)) + content[8:] + directory
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["grey", "colour"])
+def test_a_tiffs_orientation_does_not_turn_the_sensors_pixels_either(tmp_path, orientation, kind):
+    image = sample_image(kind)
+    (tmp_path / "a.tif").write_bytes(tiff_with(encode(".tif", image), 274, orientation))
+    assert np.array_equal(read_image(tmp_path / "a.tif"), image)
+    assert np.array_equal(read_grey_image(tmp_path / "a.tif"), to_grey(image))
+
+
+def test_pages_of_a_tiff_are_counted(tmp_path):
+    path = tmp_path / "a.tif"
+    cv2.imwritemulti(str(path), [sample_image(), sample_image()[::-1], sample_image()])
+    stored = read_stored_image(path)
+    assert stored.n_pages == 3 and np.array_equal(stored.grey, sample_image())
+    path.write_bytes(encode(".tif", sample_image()))
+    assert read_stored_image(path).n_pages == 1
+    circle = bytearray(tiff_with(encode(".tif", sample_image()), 274, 1))
+    circle[-4:] = circle[4:8]  # the next directory is this one
+    path.write_bytes(circle)
+    assert read_stored_image(path).n_pages == 1
+
+
+def test_a_reduced_copy_in_a_tiff_is_no_page_of_its_own():
+    first = tiff_with(encode(".tif", sample_image()), 254, 0)
+    reduced = tiff_with(first, 254, 1)[len(first) :]
+    (at,) = struct.unpack_from("<I", first, 4)
+    content = first[:-4] + struct.pack("<I", len(first)) + reduced
+    assert at and count_pages(content) == 1
+    assert count_pages(first[:-4] + struct.pack("<I", len(first)) + tiff_with(first, 254, 0)[len(first) :]) == 2
+
+
+FF_TAIL = """
+import sys
+from binocal.errors import FormatError
+from binocal.images import read_image
+try:
+    read_image(sys.argv[1])
+except FormatError as error:
+    print(error.problem)
+"""
+
+
+def test_a_long_tail_of_fill_bytes_is_read_once(tmp_path):
+    path = tmp_path / "a.jpg"
+    content = encode(".jpg", sample_image())
+    path.write_bytes(content[:-2] + b"\xff" * 1_000_000)  # hours where each of them began another search
+    done = subprocess.run(
+        [sys.executable, "-c", FF_TAIL, str(path)], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "truncated JPEG" in done.stdout
+    path.write_bytes(content[:-2] + b"\xff" * 1000 + content[-2:])  # fill bytes before a marker are allowed
+    assert read_grey_image(path).shape == (48, 64)
+
+
+def test_comments_without_end_in_a_pnm_are_read_once(tmp_path):
+    (tmp_path / "a.pgm").write_bytes(b"P5\n" + b"#\n" * 1900 + b" " * 90 + b"x")
+    with pytest.raises(FormatError, match="damaged PNM"):
+        read_image(tmp_path / "a.pgm")
+
+
+def with_png_size(width, height):
+    content = bytearray(encode(".png", sample_image()))
+    struct.pack_into(">II", content, 16, width, height)
+    struct.pack_into(">I", content, 29, zlib.crc32(content[12:29]))
+    return bytes(content)
+
+
+def with_jpeg_size(width, height):
+    content = bytearray(encode(".jpg", sample_image()))
+    struct.pack_into(">HH", content, content.index(b"\xff\xc0") + 5, height, width)
+    return bytes(content)
+
+
+def plain_tiff():
+    return cv2.imencode(".tif", sample_image("colour"), [cv2.IMWRITE_TIFF_COMPRESSION, 1])[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (with_png_size(100_000, 100_000), "100000 x 100000 pixels"),
+        (with_png_size(20_000, 10_000), "damaged PNG file"),
+        (with_png_size(0, 48), "damaged PNG file"),
+        (with_jpeg_size(65_000, 65_000), "65000 x 65000 pixels"),
+        (with_jpeg_size(60_000, 4_000), "damaged JPEG file"),
+        (tiff_with(plain_tiff(), 256, 70), "damaged TIFF file"),
+        (tiff_with(plain_tiff(), 257, 65_000), "damaged TIFF file"),
+        (b"P2 90000 90000 255\n1 2 3\n", "too large"),
+        (b"P5 99999999999 3 255\n1 2 3\n", "damaged PNM"),
+    ],
+)
+def test_a_header_that_claims_a_huge_image_is_refused_before_room_is_made(tmp_path, content, words):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(FormatError, match=words):
+        read_image(tmp_path / "a.png")
+
+
+def test_pipes_and_devices_are_named_not_read(tmp_path):
+    os.mkfifo(tmp_path / "a.png")
+    (tmp_path / "b.png").symlink_to("/dev/zero")
+    with pytest.raises(FormatError, match="is a pipe"):
+        read_image(tmp_path / "a.png")
+    with pytest.raises(FormatError, match="is a device"):
+        read_image(tmp_path / "b.png")
+    with pytest.raises(FormatError, match="name too long"):
+        read_image(tmp_path / ("x" * 300))

@@ -1,5 +1,6 @@
 """Policies without PyTorch: the same numbers as the network, files that are checked, controllers that guard."""
 
+import os
 from itertools import pairwise
 
 import numpy as np
@@ -125,3 +126,30 @@ def test_a_constant_controller_looks_at_nothing(case):
     second, _ = constant.choose(rigs.problem, advance(rigs.problem, state, first, KERNEL), memory)
     assert np.array_equal(first.scale_factor, second.scale_factor) and np.array_equal(first.stretch, second.stretch)
     assert np.array_equal(first.pose_damping, second.pose_damping)
+
+
+@pytest.mark.parametrize("damage", ["empty", "no layers", "no card", "a card that is a list", "a scalar", "a pipe"])
+def test_damaged_weights_are_named(tmp_path, damage):
+    from safetensors.numpy import save
+
+    path, policy = tmp_path / "w.safetensors", make_policy()
+    arrays = {"mean": policy.mean, "spread": policy.spread}
+    metadata = {"kind": str(policy.kind), "card": "{}"}
+    match damage:
+        case "no layers":
+            path.write_bytes(save(arrays, metadata))
+        case "no card":
+            path.write_bytes(save(arrays))
+        case "a card that is a list":
+            path.write_bytes(save(arrays, metadata | {"card": "[" * 100_000}))
+        case "a scalar":
+            path.write_bytes(
+                save(arrays | {"mean": np.array(1.0), "weight0": np.eye(2), "bias0": np.ones(2)}, metadata)
+            )
+        case "a pipe":
+            os.mkfifo(path)
+        case _:
+            path.touch()
+    with pytest.raises(FormatError, match=r"w\.safetensors") as caught:
+        load_policy(path)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400

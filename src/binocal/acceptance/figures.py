@@ -7,9 +7,12 @@ from numpy import ndarray
 
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
-from binocal.shapes import Float
+from binocal.shapes import Float, Int
 
 MAX_SPACING_VIEWS = 12  # evenly chosen; the median spacing of eight real sets is then within 2.5 % of all views'
+
+MAX_SPACING_POINTS = 2000  # of the board, evenly chosen; their median is that of all
+SPACING_BLOCK = 1 << 21  # distances held at once: 16 MB
 
 
 def focal_sigma_share(calibration: StereoCalibration, side: str) -> float:
@@ -47,15 +50,26 @@ def normal_spread_deg(normals: Float[ndarray, "views 3"]) -> float:
 
 def corner_spacing_px(detections: Detections, most_views: int = MAX_SPACING_VIEWS) -> float:
     """Median distance in the images of corners that are neighbours on the board; NaN where none are seen."""
-    points = detections.object_points_m
-    half = 0.5 * np.square(points).sum(axis=1)
-    distance2 = half - points @ points.T  # half of it, short of a constant for each row
-    np.fill_diagonal(distance2, np.inf)
-    nearest = np.argmin(distance2, axis=1)
+    some_points, nearest = _neighbours(detections.object_points_m)
     n_some = min(detections.n_views, most_views)
     some = np.arange(n_some) * (detections.n_views - 1) // max(n_some - 1, 1)
     px = np.concatenate([detections.left_px[some], detections.right_px[some]])
-    steps = px[:, nearest] - px
+    steps = px[:, nearest] - px[:, some_points]
     gaps2 = np.vecdot(steps, steps).ravel()
     gaps2 = gaps2[np.isfinite(gaps2)]
     return float(np.sqrt(np.partition(gaps2, len(gaps2) // 2)[len(gaps2) // 2])) if len(gaps2) else float("nan")
+
+
+def _neighbours(points: Float[ndarray, "n 3"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
+    """Evenly chosen points of a board, all of them where they are few, and the nearest other point of each."""
+    n_some = min(len(points), MAX_SPACING_POINTS)
+    some = np.arange(n_some) * (len(points) - 1) // max(n_some - 1, 1)
+    half = 0.5 * np.square(points).sum(axis=1)
+    nearest = np.empty(n_some, dtype=int)
+    rows = max(1, SPACING_BLOCK // len(points))
+    for begin in range(0, n_some, rows):
+        block = some[begin : begin + rows]
+        distance2 = half - points[block] @ points.T  # half of it, short of a constant for each row
+        distance2[np.arange(len(block)), block] = np.inf
+        nearest[begin : begin + rows] = np.argmin(distance2, axis=1)
+    return some, nearest

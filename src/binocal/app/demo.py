@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import glob
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from binocal.app.calibrate import CalibrationRun, calibrate_images
@@ -11,7 +13,7 @@ from binocal.app.simulate import SimulateOptions, simulate
 from binocal.boards import Board
 from binocal.calibrators.base import CalibrationRequest
 from binocal.formats import rig_json
-from binocal.output import check_output_folder
+from binocal.output import staged_folder
 from binocal.progress import ProgressCallback, prefixed
 
 DEMO_SQUARES_M = (0.010, 0.020)  # the two boards of the paper's table 3
@@ -37,33 +39,32 @@ def demo(
 ) -> tuple[DemoCase, ...]:
     """Render the table-2 rig with both of the paper's boards, calibrate each from its images, compare with the truth.
 
-    ``output`` gets a folder per board with images, truth.json and rig.json.
+    ``output`` gets a folder per board with images, truth.json and rig.json, all at once at the end.
 
     Raises:
         OutputExistsError: ``output`` holds files and ``force`` is False.
     """
+    output, cases = Path(output), []
+    with staged_folder(output, force=force, last=("truth.json", "rig.json")) as folder:
+        for number, square_m in enumerate(DEMO_SQUARES_M):
+            case = _demonstrate(folder, number, square_m, n_pairs, seed, progress)
+            cases.append(replace(case, folder=output / case.name))
+    return tuple(cases)
+
+
+def _demonstrate(
+    output: Path, number: int, square_m: float, n_pairs: int, seed: int, progress: ProgressCallback | None
+) -> DemoCase:
+    """One board, in a new folder of ``output``."""
     from binocal.simulation import table2_rig
 
-    output = Path(output)
-    check_output_folder(output, force=force)
-    cases = []
-    for number, square_m in enumerate(DEMO_SQUARES_M):
-        name = f"{square_m * 1e3:.0f}mm"
-        board = Board.from_spec(f"chessboard:11x8:{name}")
-        folder = output / name
-        of_board = prefixed(progress, f"{name} board: ")
-        truth = simulate(
-            table2_rig(),
-            board,
-            n_pairs,
-            folder,
-            SimulateOptions(seed=2 * seed + number),
-            force=force,
-            progress=of_board,
-        )
-        left, right = str(folder / "left_*.png"), str(folder / "right_*.png")
-        request = CalibrationRequest("brown4", seed=seed, progress=of_board)
-        run = calibrate_images(left, right, board, request)
-        rig_json.write_calibration(folder / "rig.json", run.calibration, force=force)
-        cases.append(DemoCase(name, folder, run, evaluate_truth(run.calibration, truth, seed=seed)))
-    return tuple(cases)
+    name = f"{square_m * 1e3:.0f}mm"
+    board = Board.from_spec(f"chessboard:11x8:{name}")
+    folder = output / name
+    of_board = prefixed(progress, f"{name} board: ")
+    options = SimulateOptions(seed=2 * seed + number)
+    truth = simulate(table2_rig(), board, n_pairs, folder, options, progress=of_board)
+    left, right = (os.path.join(glob.escape(str(folder)), f"{side}_*.png") for side in ("left", "right"))
+    run = calibrate_images(left, right, board, CalibrationRequest("brown4", seed=seed, progress=of_board))
+    rig_json.write_calibration(folder / "rig.json", run.calibration)
+    return DemoCase(name, folder, run, evaluate_truth(run.calibration, truth, seed=seed))

@@ -9,7 +9,7 @@ import numpy as np
 from binocal.app.corners import FoundCorners, find_corners
 from binocal.boards import Board
 from binocal.cameras import StereoRig
-from binocal.errors import CalibrationError, DataError
+from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
 from binocal.evidence import Detections
 from binocal.formats import rig_json
 from binocal.metrics import image, pose
@@ -18,6 +18,9 @@ from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import Covariance, RejectedView, StereoCalibration
 
 EXACT_VIEWS = 20
+MOST_FOCAL_SIGMA_SHARE = (
+    0.2  # rigs are drawn about the truth with the bound's covariance: the next 5 sigma must be cameras
+)
 SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
 
 
@@ -158,15 +161,24 @@ def _bound(
     rig = replace(truth.rig, left=left, right=right)
     poses = truth.T_left_board[chosen]
     points = truth.board.object_points_m
-    bound = cramer_rao_bound(
-        rig,
-        points,
-        poses,
-        calibration.noise_px,
-        left_is_seen=is_inside(rig.left.project(poses.apply(points)), rig.left.size_wh),
-        right_is_seen=is_inside(rig.right.project((rig.T_right_left @ poses).apply(points)), rig.right.size_wh),
-        skew=has_skew,
-    )
+    try:
+        bound = cramer_rao_bound(
+            rig,
+            points,
+            poses,
+            calibration.noise_px,
+            left_is_seen=is_inside(rig.left.project(poses.apply(points)), rig.left.size_wh),
+            right_is_seen=is_inside(rig.right.project((rig.T_right_left @ poses).apply(points)), rig.right.size_wh),
+            skew=has_skew,
+        )
+    except DegenerateGeometryError:
+        notes.append("no bound: the truth's views that the calibration used do not determine the rig.")
+        return None
+    for side, camera in (("left", left), ("right", right)):
+        for name, focal_px in zip(("fx", "fy"), camera.parameters[:2], strict=True):
+            if not bound.sigma[f"{side}.{name}"] <= MOST_FOCAL_SIGMA_SHARE * focal_px:
+                notes.append(f"no bound: the truth's views do not determine the {side} camera's focal length.")
+                return None
     return rig, bound
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +12,9 @@ from binocal.boards import Board
 from binocal.cameras import StereoRig
 from binocal.errors import DataError
 from binocal.formats import rig_json
+from binocal.images.containers import MOST_PIXELS
 from binocal.images.png import encode_png
-from binocal.output import staged_folder
+from binocal.output import staged_folder, write_part
 from binocal.progress import ProgressCallback, stage_of
 
 
@@ -44,6 +45,8 @@ def simulate(
     Raises:
         ValueError: The board has no length unit, or there are no pairs to render.
         OutputExistsError: ``output`` holds files and ``force`` is False.
+        DataError: The rig's images are too large to be rendered.
+        OutputError: The disk is full, or the folder cannot be written to.
     """
     from binocal.simulation import RenderOptions, StereoScene, render_pairs, sample_board_poses
 
@@ -52,26 +55,32 @@ def simulate(
         raise ValueError(f"a simulated board needs its size: give the length a unit, such as {board.kind}:…:20mm")
     if n_pairs < 1:
         raise ValueError(f"there is nothing to render: {n_pairs} pairs")
+    for camera in (rig.left, rig.right):
+        if math.prod(camera.size_wh) > MOST_PIXELS:
+            width, height = camera.size_wh
+            raise DataError(f"the rig's images of {width} x {height} pixels are too large to be rendered.")
     pose_seed, image_seed = np.random.SeedSequence(options.seed).spawn(2)
     T_left_board = sample_board_poses(rig, board, n_pairs, np.random.default_rng(pose_seed))
     width = max(2, len(str(n_pairs - 1)))
     names = tuple(f"{view:0{width}d}" for view in range(n_pairs))
     truth = rig_json.Truth(rig, board, names, T_left_board, options.noise_dn, options.blur_px)
     rendering = RenderOptions(blur_px=options.blur_px, noise_dn=options.noise_dn)
-    with staged_folder(output, force=force, before_move=_remove_former_images, last="truth.json") as folder:
+    with staged_folder(output, force=force, former=_former_images, last=("truth.json",)) as folder:
         images = render_pairs(
             StereoScene(rig, board, T_left_board), rendering, image_seed, stage_of(progress, "rendering")
         )
         for view, side, image in images:
-            (folder / f"{side}_{names[view]}.png").write_bytes(encode_png(image))
+            write_part(folder / f"{side}_{names[view]}.png", encode_png(image))
         rig_json.write_truth(folder / "truth.json", truth)
     return truth
 
 
-def _remove_former_images(output: Path) -> None:
-    """Deletes the images of the simulation that ``output`` holds, if any; every other file stays."""
-    if (output / "truth.json").exists():
-        with contextlib.suppress(DataError):
-            for name in rig_json.read_truth(output / "truth.json").names:
-                for side in ("left", "right"):
-                    (output / f"{side}_{Path(name).name}.png").unlink(missing_ok=True)
+def _former_images(output: Path) -> set[str]:
+    """Names of the files of the simulation that ``output`` holds, if any; every other file is somebody else's."""
+    if not (output / "truth.json").exists():
+        return set()
+    try:
+        names = rig_json.read_truth(output / "truth.json").names
+    except DataError:
+        return set()
+    return {f"{side}_{Path(name).name}.png" for name in names for side in ("left", "right")}

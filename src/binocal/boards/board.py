@@ -6,6 +6,7 @@ y down and z away from the camera when the board is upright and faces it. Points
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Literal
@@ -13,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy import ndarray
 
+from binocal.boards.dictionaries import TAG36H11_SIZE, check_dictionary
 from binocal.shapes import Float, Int
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
@@ -20,6 +22,13 @@ _EXAMPLES = (
     "chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), aprilgrid:6x6:88mm:0.3, "
     "circles:10x10:30mm, acircles:4x11:20mm"
 )
+
+MOST_POINTS = 40_000  # 200 x 200; a camera of 20 million pixels gives each a square of 22 pixels
+LARGEST_PITCH_M = (
+    3.0  # the largest boards known have squares of half a metre; millimetres given as metres are far beyond
+)
+LARGEST_TAG_GAP_RATIO = 10.0  # Kalibr's is 0.3
+_KINDS = ("chessboard", "charuco", "aprilgrid", "circles", "acircles")
 
 BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles"]
 
@@ -53,12 +62,35 @@ class Board:
 
     def __post_init__(self) -> None:
         least = {"chessboard": 2, "charuco": 2, "aprilgrid": 1, "circles": 2, "acircles": 2}[self.kind]
+        size = f"board {_shown(f'{self.columns}x{self.rows}')}"
         if self.columns < least or self.rows < least or self.n_points < 4:
-            raise ValueError(f"board {self.columns}x{self.rows} is too small for a {self.kind}")
+            raise ValueError(f"{size} is too small for a {self.kind}")
+        if self.n_points > MOST_POINTS:
+            raise ValueError(f"{size} is too large: it has more than {MOST_POINTS} points; give columns x rows")
         if not (np.isfinite(self.pitch_m) and self.pitch_m > 0):
             raise ValueError(f"board pitch must be positive; got {self.pitch_m} m")
-        if self.kind == "charuco" and not 0 < self.marker_m < self.pitch_m:
-            raise ValueError(f"ChArUco markers ({self.marker_m} m) must be smaller than squares ({self.pitch_m} m)")
+        if self.is_metric and self.pitch_m > LARGEST_PITCH_M:
+            raise ValueError(
+                f"a board with a pitch of {self.pitch_m:g} m is not plausible (at most {LARGEST_PITCH_M:g} m); "
+                f"are its lengths in millimetres ({self.pitch_m:g}mm, in a target file {1e-3 * self.pitch_m:g})?"
+            )
+        if self.kind == "charuco":
+            if not 0 < self.marker_m < self.pitch_m:
+                raise ValueError(f"ChArUco markers ({self.marker_m} m) must be smaller than squares ({self.pitch_m} m)")
+            check_dictionary(self.dictionary)
+        if self.kind == "aprilgrid":
+            self._check_tags()
+
+    def _check_tags(self) -> None:
+        if not 0 < self.tag_gap_ratio <= LARGEST_TAG_GAP_RATIO:
+            raise ValueError(
+                f"the gap between tags over their side must be positive and at most {LARGEST_TAG_GAP_RATIO:g}, "
+                f"such as 0.3; got {self.tag_gap_ratio:g}"
+            )
+        if self.first_tag_id < 0 or self.first_tag_id + self.columns * self.rows > TAG36H11_SIZE:
+            raise ValueError(
+                f"board {self.columns}x{self.rows} has more tags than the {TAG36H11_SIZE} of the family tag36h11"
+            )
 
     @staticmethod
     def from_spec(spec: str) -> Board:
@@ -113,12 +145,17 @@ class Board:
         return points * self.pitch_m
 
 
+def _shown(text: str) -> str:
+    """A user's text as a message quotes it: not longer than a SPEC can be."""
+    return text if len(text) <= 80 else f"{text[:60]}… ({len(text)} characters)"
+
+
 def parse_length(text: str) -> tuple[float, bool]:
     """Metres and True, or the bare number and False where no unit (mm, cm, m, in) is given."""
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(mm|cm|m|in)?\s*", text)
-    if not match or float(match[1]) <= 0:
+    if not match or not 0 < float(match[1]) < math.inf:
         raise ValueError(
-            f"{text!r} is not a length; write a positive number with its unit (mm, cm, m, in), such as 30mm"
+            f"{_shown(text)!r} is not a length; write a positive number with its unit (mm, cm, m, in), such as 30mm"
         )
     return float(match[1]) * _METRES.get(match[2] or "m", 1.0), match[2] is not None
 
@@ -131,29 +168,44 @@ def parse_board(spec: str) -> Board:
     """
     kind, _, rest = spec.strip().partition(":")
     fields = rest.split(":") if rest else []
-    size = re.fullmatch(r"(\d+)x(\d+)", fields[0]) if fields else None
-    if kind not in ("chessboard", "charuco", "aprilgrid", "circles", "acircles") or not size:
-        raise ValueError(f"board {spec!r} is not understood; examples: {_EXAMPLES}")
+    size = re.fullmatch(r"([0-9]+)x([0-9]+)", fields[0]) if fields else None
+    if kind not in _KINDS or not size:
+        raise ValueError(f"board {_shown(spec)!r} is not understood; examples: {_EXAMPLES}")
+    if max(len(size[1]), len(size[2])) > len(str(MOST_POINTS)):
+        raise ValueError(f"board {_shown(spec)!r} is too large: no board has more than {MOST_POINTS} points")
     columns, rows = int(size[1]), int(size[2])
     most = {"charuco": 4, "aprilgrid": 3}.get(kind, 2)
     if len(fields) > most:
-        raise ValueError(f"board {spec!r} has too many fields; examples: {_EXAMPLES}")
+        raise ValueError(f"board {_shown(spec)!r} has too many fields; examples: {_EXAMPLES}")
     pitch_m, is_metric = parse_length(fields[1]) if len(fields) > 1 else (1.0, False)
     scale = 1.0 if is_metric else pitch_m
     pitch_m = pitch_m if is_metric else 1.0
     if kind == "charuco":
         if len(fields) != 4:
-            raise ValueError(f"board {spec!r} needs square, marker and dictionary: charuco:11x8:30mm:22mm:DICT_5X5_50")
+            raise ValueError(
+                f"board {_shown(spec)!r} needs square, marker and dictionary: charuco:11x8:30mm:22mm:DICT_5X5_50"
+            )
         marker_m, marker_is_metric = parse_length(fields[2])
         if marker_is_metric != is_metric:
-            raise ValueError(f"board {spec!r}: give both lengths a unit, or neither")
+            raise ValueError(f"board {_shown(spec)!r}: give both lengths a unit, or neither")
         if not re.fullmatch(r"DICT_\w+", fields[3]):
-            raise ValueError(f"board {spec!r}: {fields[3]!r} is not an ArUco dictionary such as DICT_5X5_50")
+            raise ValueError(
+                f"board {_shown(spec)!r}: {_shown(fields[3])!r} is not an ArUco dictionary such as DICT_5X5_50"
+            )
+        check_dictionary(fields[3], columns * rows // 2)
         return Board(kind, columns, rows, pitch_m, is_metric, marker_m / scale, fields[3])
     if kind == "aprilgrid":
-        gap = float(fields[2]) if len(fields) > 2 else 0.3
+        gap = _parse_gap(fields[2]) if len(fields) > 2 else 0.3
         return Board(kind, columns, rows, pitch_m, is_metric, dictionary="tag36h11", tag_gap_ratio=gap)
     return Board(kind, columns, rows, pitch_m, is_metric)  # type: ignore[arg-type]
+
+
+def _parse_gap(text: str) -> float:
+    """Gap over tag side; what is no number is NaN, which no board may have."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def format_length(length_m: float) -> str:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from binocal.boards.board import Board, parse_board
 from binocal.errors import FormatError
+from binocal.input_file import read_text
+from binocal.yaml_text import parse_yaml
+
+MOST_BYTES = 64 << 10  # a target file has ten lines
 
 
 def load_board(spec_or_path: str) -> Board:
@@ -20,19 +25,16 @@ def load_board(spec_or_path: str) -> Board:
     path = Path(spec_or_path)
     if path.suffix.lower() not in (".yaml", ".yml"):
         return parse_board(spec_or_path)
-    import yaml
-
+    text = read_text(path, most_bytes=MOST_BYTES)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FormatError(path, "no such board file") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise FormatError(path, f"cannot be read as YAML: {' '.join(str(error).split())}") from None
+        content = parse_yaml(text)
+    except ValueError as error:
+        raise FormatError(path, f"cannot be read as YAML: {error}") from None
     if not isinstance(content, Mapping):
         raise FormatError(path, "is not a board: expected `board: SPEC` or a Kalibr target")
     try:
         return parse_board(str(content["board"])) if "board" in content else _parse_kalibr_target(content)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, ValueError) as error:
         raise FormatError(
             path, f"is not a board: {error if not isinstance(error, KeyError) else f'{error} is missing'}"
         ) from None
@@ -44,19 +46,39 @@ def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
     if kind == "aprilgrid":
         return Board(
             "aprilgrid",
-            int(target["tagCols"]),
-            int(target["tagRows"]),
-            float(target["tagSize"]),
+            _count(target, "tagCols"),
+            _count(target, "tagRows"),
+            _number(target, "tagSize"),
             dictionary="tag36h11",
-            tag_gap_ratio=float(target["tagSpacing"]),
+            tag_gap_ratio=_number(target, "tagSpacing"),
         )
-    columns, rows = int(target["targetCols"]), int(target["targetRows"])
+    columns, rows = _count(target, "targetCols"), _count(target, "targetRows")
     if kind == "checkerboard":
-        across, along = float(target["colSpacingMeters"]), float(target["rowSpacingMeters"])
+        across, along = _number(target, "colSpacingMeters"), _number(target, "rowSpacingMeters")
         if abs(across - along) > 1e-9 * along:
             raise ValueError("rowSpacingMeters and colSpacingMeters differ; only square fields are supported")
         return Board("chessboard", columns, rows, along)
     if kind == "circlegrid":
         is_staggered = bool(target.get("asymmetricGrid", False))
-        return Board("acircles" if is_staggered else "circles", columns, rows, float(target["spacingMeters"]))
-    raise ValueError(f"target_type {kind!r} is not aprilgrid, checkerboard or circlegrid")
+        return Board("acircles" if is_staggered else "circles", columns, rows, _number(target, "spacingMeters"))
+    raise ValueError(f"target_type {str(kind)[:40]!r} is not aprilgrid, checkerboard or circlegrid")
+
+
+def _count(target: Mapping[str, Any], key: str) -> int:
+    """A whole number of tags, corners or circles."""
+    value = target[key]
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError(f"{key} must be a whole number; got {str(value)[:40]!r}")
+    return value
+
+
+def _number(target: Mapping[str, Any], key: str) -> float:
+    """A finite positive number: a length in metres, or a ratio."""
+    value = target[key]
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)  # YAML takes 3e-2 for a text
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise ValueError(f"{key} must be a positive number; got {str(value)[:40]!r}")
+    return number

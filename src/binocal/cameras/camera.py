@@ -11,6 +11,8 @@ from binocal.cameras.models import CameraModel, camera_model
 from binocal.shapes import Float
 from binocal.values import ArrayValue, frozen_array
 
+MOST_SIDE_PX = 1 << 20  # line cameras have 16,384
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera(ArrayValue):
@@ -37,6 +39,8 @@ class Camera(ArrayValue):
         width, height = (int(n) for n in self.size_wh)
         if width < 1 or height < 1:
             raise ValueError(f"size_wh must be positive; got {self.size_wh}")
+        if max(width, height) > MOST_SIDE_PX:
+            raise ValueError(f"size_wh is at most {MOST_SIDE_PX} pixels a side; got {width:.4g} x {height:.4g}")
         object.__setattr__(self, "parameters", parameters)
         object.__setattr__(self, "size_wh", (width, height))
 

@@ -2,6 +2,8 @@
 
 FINE, FAILED, USAGE, UNUSABLE_INPUT, BELOW_QUALITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
+INTERRUPT_TEXT = "interrupted; no file was left half written."
+
 
 def one_line(text: str) -> str:
     """The text without line breaks."""

@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
-import json
+import errno
+import os
 import re
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from binocal.cli.exits import FAILED, FINE, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
-from binocal.errors import BinocalError, CancelledError, MissingExtraError, NotConvergedError, PluginError
+from binocal.cli.exits import FAILED, FINE, INTERRUPT_TEXT, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
+from binocal.cli.streams import discard, finish_stdout, print_document, say
+from binocal.errors import (
+    BinocalError,
+    CancelledError,
+    MissingExtraError,
+    NotConvergedError,
+    OutputError,
+    PluginError,
+)
 from binocal.findings import finding_document, findings_of
+
+FAILURES = (
+    NotConvergedError,
+    MissingExtraError,
+    PluginError,
+    OutputError,
+)  # while running; other errors are the input's
+# What a path of the user's own can be at fault for; anything else that the system refuses is a failure while running.
+PATH_ERRORS = frozenset((errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code; every :class:`BinocalError` becomes one line on stderr."""
-    from binocal.cli.verbs import app
-
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     wants_json = "--json" in arguments
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
-            code = app(arguments, prog_name="binocal", standalone_mode=False)
-        sys.stdout.flush()
+        code = _run(arguments)
+        finish_stdout()
         if code == INTERRUPTED:  # typer makes an exit code of an interrupt
             raise KeyboardInterrupt
         return code if isinstance(code, int) else FINE
@@ -32,22 +46,45 @@ def run(arguments: Sequence[str] | None = None) -> int:
         _report(error_code(error), str(error), wants_json, details(error))
         if isinstance(error, CancelledError):
             return INTERRUPTED
-        return FAILED if isinstance(error, NotConvergedError | MissingExtraError | PluginError) else UNUSABLE_INPUT
+        return FAILED if isinstance(error, FAILURES) else UNUSABLE_INPUT
     except KeyboardInterrupt:
-        _report("interrupted", "interrupted; no file was left half written.", wants_json)
+        _report("interrupted", INTERRUPT_TEXT, wants_json)
         return INTERRUPTED
     except BrokenPipeError:
-        sys.stderr.close()  # the reader left; nobody reads a message
+        discard(1)  # the reader left; nobody reads a message
         return FAILED
+    except (OSError, MemoryError) as error:
+        return _report_system(error, wants_json)
     except Exception as error:
         if type(error).__name__ == "Abort":  # how click, in older versions of typer, passes on an interrupt
-            _report("interrupted", "interrupted; no file was left half written.", wants_json)
+            _report("interrupted", INTERRUPT_TEXT, wants_json)
             return INTERRUPTED
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # typer's usage errors, of whichever click
             return _report_usage(error, wants_json)
         if wants_json:
             _report("internal", f"{type(error).__name__}: {error}", wants_json)
         raise
+
+
+def _run(arguments: list[str]) -> Any:
+    from binocal.cli.verbs import app
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        # NumPy's own, of numbers beyond a double's range: what follows from those is refused by name
+        warnings.filterwarnings("ignore", category=RuntimeWarning)
+        return app(arguments, prog_name="binocal", standalone_mode=False)
+
+
+def _report_system(error: OSError | MemoryError, wants_json: bool) -> int:
+    """What the system refuses: a path that cannot be, or a full disk, a lack of memory, a stdout that takes nothing."""
+    if isinstance(error, MemoryError):
+        _report("no-memory", "there is not enough memory for it; use smaller or fewer images.", wants_json)
+        return FAILED
+    name = "stdout" if error.filename is None else os.fsdecode(error.filename)
+    words = error.strerror or str(error)
+    _report("system", f"{name if len(name) <= 200 else name[:160] + '…'}: {words}.", wants_json)
+    return UNUSABLE_INPUT if error.filename is not None and error.errno in PATH_ERRORS else FAILED
 
 
 def error_code(error: BaseException) -> str:
@@ -66,15 +103,21 @@ def details(error: BaseException) -> dict[str, Any]:
 
 def _report(code: str, message: str, wants_json: bool, figures: dict[str, Any] | None = None) -> None:
     """One line on stderr, the lists behind it above; with --json, the same as one document on stdout."""
+    from binocal.formats.json_document import dump_json, jsonable
+
     figures = figures or {}
     for line in figures.get("notes", []):
-        print(one_line(line), file=sys.stderr)
+        say(one_line(line))
     for name, reason in {**figures.get("reasons", {}), **figures.get("rejected", {})}.items():
-        print(f"dropped {name}: {one_line(reason)}", file=sys.stderr)
-    print(f"binocal: {one_line(message)}", file=sys.stderr)
+        say(f"dropped {name}: {one_line(reason)}")
+    say(f"binocal: {one_line(message)}")
     if wants_json:
         document = {"error": {"code": code, "message": one_line(message)} | figures}
-        print(json.dumps(document, default=str, allow_nan=False, ensure_ascii=False))
+        try:
+            print_document(dump_json(jsonable(document)))
+            finish_stdout()
+        except OSError:
+            discard(1)
 
 
 def _report_usage(error: Any, wants_json: bool) -> int:
@@ -89,4 +132,4 @@ def _report_usage(error: Any, wants_json: bool) -> int:
 
 
 def _show_warning(message: Any, *_: Any, **__: Any) -> None:
-    print(f"warning: {one_line(str(message))}", file=sys.stderr)
+    say(f"warning: {one_line(str(message))}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from binocal.app import CalibrationRun, DemoCase, ImageEvaluation, TrainedAgent, TruthEvaluation
 from binocal.cameras import camera_model
 from binocal.cli.exits import one_line
+from binocal.cli.streams import say
 from binocal.metrics.pose import ParameterError
 from binocal.result import RejectedView, StereoCalibration
 from binocal.values import with_sigma
@@ -28,11 +28,11 @@ MAX_NAMES = 8  # names of dropped views in one line of the summary; stderr has a
 def list_left_out(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedView], notes: Sequence[str]) -> None:
     """Everything that was left out, one line each, on stderr."""
     for path, reason in ignored:
-        print(f"ignored {path}: {one_line(reason)}", file=sys.stderr)
+        say(f"ignored {path}: {one_line(reason)}")
     for view in rejected:
-        print(f"dropped {view.name}: {one_line(view.reason)}", file=sys.stderr)
+        say(f"dropped {view.name}: {one_line(view.reason)}")
     for note in notes:
-        print(f"note: {one_line(note)}", file=sys.stderr)
+        say(f"note: {one_line(note)}")
 
 
 def calibration_text(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import enum
+import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,9 +12,12 @@ import typer
 
 from binocal import __version__
 from binocal.cli.exits import BELOW_QUALITY, FINE
+from binocal.cli.streams import print_document
+from binocal.errors import DataError, FormatError
 from binocal.threads import n_threads, set_threads
 
 if TYPE_CHECKING:
+    from binocal.app import CalibrationRun
     from binocal.solvers.prior import RigPrior
 
 app = typer.Typer(
@@ -54,6 +59,7 @@ class Exposures(enum.StrEnum):
     apart = "apart"
 
 
+MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
 MODELS = "|".join(Model)
 BOARD_HELP = (
     "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
@@ -65,6 +71,15 @@ Right = Annotated[str, typer.Option("--right", help="Right images, paired with t
 BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
 Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout, on errors too.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+
+
+def _finite(value: float | None) -> float | None:
+    """A number that an option can use: typer's own limits let ``inf`` and ``nan`` pass."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} is not a finite number.")
+    return value
+
+
 Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.", metavar="N", min=0)]
 
 
@@ -212,7 +227,8 @@ def calibrate(
     ] = None,
     seed: Seed = 0,
     max_rms: Annotated[
-        float | None, typer.Option("--max-rms", help="Exit with 4 if the RMS is above.", metavar="PX", min=0.0)
+        float | None,
+        typer.Option("--max-rms", help="Exit with 4 if the RMS is above.", metavar="PX", min=0.0, callback=_finite),
     ] = None,
     opencv: Annotated[
         Path | None,
@@ -226,23 +242,19 @@ def calibrate(
     from binocal import app as verbs
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
-    from binocal.formats import rig_json
     from binocal.formats.board_file import read_measured_board
-    from binocal.formats.detections_npz import write_detections
-    from binocal.formats.opencv_yaml import check_opencv_output, write_opencv
+    from binocal.formats.opencv_yaml import check_opencv_output
     from binocal.output import check_output
 
     parsed = _parse_board(board)
     _check_calibrator(calibrator)
     if opencv is not None and skew:
         raise typer.BadParameter("OpenCV's functions ignore skew; leave out --skew or --opencv.")
-    if evidence is not None and evidence.absolute() == output.absolute():
-        raise typer.BadParameter("--evidence and --output name the same file.")
-    for path in (output, evidence):
-        if path is not None:
-            check_output(path, force=force)
-    if opencv is not None:
-        check_opencv_output(opencv, force=force)
+    outputs = {"--output": [output], "--evidence": [] if evidence is None else [evidence]}
+    for path in (output, *outputs["--evidence"]):
+        check_output(path, force=force)
+    outputs["--opencv"] = [] if opencv is None else check_opencv_output(opencv, force=force)
+    _check_distinct(outputs)
     known = _read_prior(prior, hold, model.value)
     measured_board = None if board_file is None else read_measured_board(board_file)
     with progress_on_terminal() as progress:
@@ -260,11 +272,7 @@ def calibrate(
             left, right, parsed, request, calibrator=calibrator, preprocess=preprocess, measured_board=measured_board
         )
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
-    if evidence is not None:
-        write_detections(evidence, run.detections, board_shape=run.calibration.board_shape, force=force)
-    rig_json.write_calibration(output, run.calibration, force=force)
-    if opencv is not None:
-        write_opencv(opencv, run.calibration.rig, force=force)
+    _write_calibration(run, output, evidence, opencv, force)
     is_good = max_rms is None or run.calibration.rms.all_px <= max_rms
     document = documents.calibration_run_document(run, output, max_rms)
     if evidence is not None:
@@ -283,10 +291,21 @@ def simulate(
         str, typer.Option("--rig", help="table2 (the paper's rig), a rig.json, or OpenCV's file.", metavar="NAME")
     ] = "table2",
     blur: Annotated[
-        float, typer.Option("--blur", help="Blur of the lens, sigma in pixels.", metavar="PX", min=0.0)
+        float,
+        typer.Option(
+            "--blur",
+            help="Blur of the lens, sigma in pixels.",
+            metavar="PX",
+            min=0.0,
+            max=MOST_BLUR_PX,
+            callback=_finite,
+        ),
     ] = 0.8,
     noise: Annotated[
-        float, typer.Option("--noise", help="Sensor noise, grey levels of 255.", metavar="DN", min=0.0)
+        float,
+        typer.Option(
+            "--noise", help="Sensor noise, grey levels of 255.", metavar="DN", min=0.0, max=255.0, callback=_finite
+        ),
     ] = 3.0,
     seed: Seed = 0,
     threads: Threads = None,
@@ -379,7 +398,13 @@ def train(
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", help="Stop training after so long; the same command goes on.", metavar="S", min=0.0),
+        typer.Option(
+            "--seconds",
+            help="Stop training after so long; the same command goes on.",
+            metavar="S",
+            min=0.0,
+            callback=_finite,
+        ),
     ] = None,
     layers: Annotated[
         str | None, typer.Option("--layers", help="Nodes of the actor's hidden layers, such as 64,64.", metavar="N,N")
@@ -453,11 +478,44 @@ def bench(
     return FINE
 
 
+def _check_distinct(outputs: dict[str, list[Path]]) -> None:
+    """Two options that name one file would write one result over the other."""
+    option_of: dict[str, str] = {}
+    for option, paths in outputs.items():
+        for path in paths:
+            other = option_of.setdefault(os.path.normcase(os.path.realpath(path)), option)
+            if other != option:
+                raise typer.BadParameter(f"{option} and {other} name the same file.")
+
+
+def _write_calibration(
+    run: CalibrationRun, output: Path, evidence: Path | None, opencv: Path | None, force: bool
+) -> None:
+    """The rig, and what was asked for beside it: all of it, or nothing where the disk is full."""
+    from binocal.formats.detections_npz import detections_content
+    from binocal.formats.opencv_yaml import opencv_texts
+    from binocal.formats.rig_json import calibration_text
+    from binocal.output import write_together
+
+    contents: dict[str | Path, Any] = {}
+    if evidence is not None:
+        contents[evidence] = detections_content(run.detections, run.calibration.board_shape)
+    refusal = None
+    try:
+        contents |= {} if opencv is None else opencv_texts(opencv, run.calibration.rig, force=force)
+    except DataError as error:  # such as a lens that OpenCV cannot hold: the rig itself is not lost
+        refusal = error
+    contents[output] = calibration_text(run.calibration)
+    write_together(contents, force=force)
+    if refusal is not None:
+        raise refusal
+
+
 def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
     if as_json:
         from binocal.formats.json_document import dump_json, jsonable
 
-        print(dump_json(jsonable(document)), end="")
+        print_document(dump_json(jsonable(document)))
     else:
         print(text)
 
@@ -489,6 +547,8 @@ def _read_prior(path: Path | None, hold: str | None, model: str) -> RigPrior | N
     try:
         return RigPrior.from_calibration(earlier, held=held)
     except ValueError as error:
+        if "covariance" in str(error):  # what the file says, not what was asked for
+            raise FormatError(path, f"is no prior: {error}") from None
         raise typer.BadParameter(f"--prior, --hold: {error}.") from None
 
 

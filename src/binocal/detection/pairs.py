@@ -23,10 +23,11 @@ from binocal.detection.preprocessing import strengthen_edges
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
 from binocal.evidence import Detections
 from binocal.images.opencv_settings import single_threaded_opencv
-from binocal.images.reading import read_hashed_grey_image
+from binocal.images.reading import read_stored_image
 from binocal.result import RejectedView
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's images; with fewer it is not clear which size the camera has
+MIN_PAIRS = 3  # of a calibration: with fewer, images that are not read of files with several are what is missing
 MIN_SHARE_OF_HINT = 0.2  # of the images must agree on another size before it is proposed
 _SIDES = ("left", "right")
 
@@ -52,6 +53,7 @@ class _Seen:
     layout: Any = None
     problem: str = ""
     sha256: str = ""
+    n_pages: int = 1
 
 
 def detect_pairs(
@@ -82,12 +84,16 @@ def detect_pairs(
     seen = _detect_all(paths, board, preprocess, None, progress, should_stop, n_threads)
     seen = _agree_on_layout(seen, board, preprocess, should_stop, n_threads)
     sides = {"left": seen[0::2], "right": seen[1::2]}
+    pages = _page_notes(sides)
+    if pages and len(pairs) < MIN_PAIRS:
+        raise DataError(f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of images: {pages[0]}")
     if not any(image.found for image in seen):
         problems = {image.path.name: image.problem for image in seen}
         raise DataError(f"none of the {len(seen)} images can be read; {next(iter(problems.values()))}")
     _require_board(seen, pairs, board)
     sizes = {side: _common_size(side, images) for side, images in sides.items()}
     kept, rejected, notes = _sort_views(pairs, sides, sizes)
+    notes = [*pages, *notes]
     if not kept:
         raise DetectionError(_one_line("no view is usable", rejected), {view.name: view.reason for view in rejected})
     if sizes["left"] != sizes["right"]:
@@ -145,13 +151,12 @@ def _detect_all(
 
 def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _Seen:
     try:
-        grey, sha256 = read_hashed_grey_image(path)
+        image = read_stored_image(path)
     except FormatError as error:
         return _Seen(path, problem=str(error.problem))
-    if preprocess:
-        grey = strengthen_edges(grey)
+    grey = strengthen_edges(image.grey) if preprocess else image.grey
     found, proved = detect_in_layout(grey, board, layout)
-    return _Seen(path, (grey.shape[1], grey.shape[0]), found, proved, sha256=sha256)
+    return _Seen(path, (grey.shape[1], grey.shape[0]), found, proved, sha256=image.sha256, n_pages=image.n_pages)
 
 
 def _agree_on_layout(
@@ -246,6 +251,20 @@ def _sort_views(
     return kept, rejected, notes
 
 
+def _page_notes(sides: dict[str, list[_Seen]]) -> list[str]:
+    """What is not read of files that hold several images."""
+    notes = []
+    for side, images in sides.items():
+        several = [image for image in images if image.n_pages > 1]
+        if several:
+            first = several[0]
+            notes.append(
+                f"{len(several)} of {len(images)} {side} files hold several images, {first.path.name} {first.n_pages} of them: "
+                "only the first of each is used; export them as files of their own."
+            )
+    return notes
+
+
 def _one_line(text: str, rejected: Sequence[RejectedView]) -> str:
     first = rejected[0]
     return f"{text}: {first.name}: {first.reason}" + (f" (and {len(rejected) - 1} more)" if len(rejected) > 1 else "")
@@ -255,7 +274,7 @@ def _digest(images: Sequence[_Seen]) -> str:
     """SHA-256 over names and contents' SHA-256, in order."""
     digest = hashlib.sha256()
     for image in images:
-        digest.update(f"{image.path.name}\0{image.sha256}\n".encode())
+        digest.update(f"{image.path.name}\0{image.sha256}\n".encode(errors="surrogateescape"))
     return digest.hexdigest()
 
 

@@ -14,6 +14,8 @@ import io
 import json
 import math
 import operator
+import struct
+import warnings
 import zipfile
 import zlib
 from dataclasses import fields
@@ -26,6 +28,8 @@ from numpy import ndarray
 from binocal.errors import DataError, FormatError
 from binocal.evidence import Detections
 from binocal.evidence.detections import COVARIANCES
+from binocal.formats.json_document import parse_whole, shown
+from binocal.input_file import check_ordinary, read_file
 from binocal.output import write_aside
 from binocal.result import BoardShape
 
@@ -35,6 +39,20 @@ ARRAYS = ("object_points_m", "left_px", "right_px")
 SHAPE_ARRAYS = ("points_m", "sigma_m")
 SHAPE_FIGURES = tuple(field.name for field in fields(BoardShape) if field.name not in SHAPE_ARRAYS)
 REMEDY = "write it anew with `binocal calibrate --evidence` or binocal.write_detections"
+LEAST_LIMIT_BYTES, MOST_EXPANSION = 16 << 20, 20  # corners compress by 2 at most, NaN of unseen ones by more
+_ZIP_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    OSError,
+    ValueError,
+    OverflowError,
+    LookupError,
+    struct.error,
+    NotImplementedError,  # a compression or a zip version that Python does not know
+    RuntimeError,  # encrypted
+    MemoryError,
+)
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip archive can say: bytes must not depend on the clock
 
 
@@ -47,6 +65,11 @@ def write_detections(
         OutputExistsError: Something is there and ``force`` is False.
         DataError: The file cannot be written.
     """
+    write_aside(path, detections_content(detections, board_shape), force=force)
+
+
+def detections_content(detections: Detections, board_shape: BoardShape | None = None) -> bytes:
+    """What :func:`write_detections` writes."""
     header = {
         "schema": SCHEMA,
         "version": VERSION,
@@ -70,7 +93,7 @@ def write_detections(
             little_endian = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
             np.lib.format.write_array(member, little_endian, version=(1, 0), allow_pickle=False)
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", _EPOCH), member.getvalue())
-    write_aside(path, content.getvalue(), force=force)
+    return content.getvalue()
 
 
 def read_detections(path: str | Path) -> Detections:
@@ -119,33 +142,23 @@ def read_board_shape(path: str | Path) -> BoardShape | None:
 def is_detections_file(path: str | Path) -> bool:
     """Whether the file says that it holds detections, of whichever version."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            return f'"{SCHEMA}"'.encode() in archive.read(f"{HEADER}.npy")
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError):
+        check_ordinary(path)
+        with zipfile.ZipFile(path) as archive, archive.open(f"{HEADER}.npy") as member:
+            return f'"{SCHEMA}"'.encode() in member.read(LEAST_LIMIT_BYTES)
+    except (FormatError, *_ZIP_ERRORS):
         return False
 
 
 def _load(path: Path) -> dict[str, bytes]:
     """The archive's members by the arrays' names; their checksums are checked."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise FormatError(path, "no such file") from None
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror}") from None
+    content = read_file(path)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        OSError,
-        ValueError,
-        NotImplementedError,  # a compression or a zip version that Python does not know
-        RuntimeError,  # encrypted
-        MemoryError,
-    ) as error:
+            entries = archive.infolist()
+            if sum(entry.file_size for entry in entries) > max(LEAST_LIMIT_BYTES, MOST_EXPANSION * len(content)):
+                raise ValueError(f"its arrays would fill more than {MOST_EXPANSION} times the file")
+            return {entry.filename.removesuffix(".npy"): archive.read(entry) for entry in entries}
+    except _ZIP_ERRORS as error:
         words = " ".join(str(error).split()) or type(error).__name__
         raise FormatError(
             path, f"is not a whole NumPy archive ({words[:100]}); it is truncated, damaged or another file: {REMEDY}"
@@ -156,14 +169,16 @@ def _parse_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
     if HEADER not in members:
         raise FormatError(path, f"array '{HEADER}' is missing: these are not binocal's detections; {REMEDY}")
     try:
-        header = json.loads(bytes(_parse_array(path, members, HEADER, np.uint8)))
+        header = json.loads(bytes(_parse_array(path, members, HEADER, np.uint8)), parse_int=parse_whole)
     except (ValueError, RecursionError) as error:
         raise FormatError(path, f"array '{HEADER}' is not JSON ({str(error)[:100]}); {REMEDY}") from None
     if not isinstance(header, dict) or header.get("schema") != SCHEMA:
         raise FormatError(path, f"array '{HEADER}': expected the schema \"{SCHEMA}\"; {REMEDY}")
     if header.get("version") != VERSION:
-        shown = json.dumps(header.get("version"))[:60]
-        raise FormatError(path, f"its version is {shown}, this binocal reads {VERSION}; update binocal, or {REMEDY}")
+        raise FormatError(
+            path,
+            f"its version is {shown(header.get('version'))}, this binocal reads {VERSION}; update binocal, or {REMEDY}",
+        )
     for key, is_right, expected in (
         ("names", _is_texts(header.get("names")), "a list of texts"),
         ("left_size_wh", _is_size(header.get("left_size_wh")), "two whole numbers"),
@@ -172,8 +187,8 @@ def _parse_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
         ("board", isinstance(header.get("board", 0), str | None), "a text or null"),
     ):
         if not is_right:
-            shown = json.dumps(header.get(key))[:60]
-            raise FormatError(path, f"array '{HEADER}', key '{key}': expected {expected}, got {shown}; {REMEDY}")
+            got = shown(header.get(key))
+            raise FormatError(path, f"array '{HEADER}', key '{key}': expected {expected}, got {got}; {REMEDY}")
     return header
 
 
@@ -203,10 +218,12 @@ def _parse_array(path: Path, members: dict[str, bytes], name: str, dtype: type) 
     try:
         if member[:8] != b"\x93NUMPY\x01\x00":
             raise ValueError("it does not begin as one of version 1.0")
-        described = ast.literal_eval(member[10 : 10 + length].decode("latin1"))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of odd escapes in a damaged header
+            described = ast.literal_eval(member[10 : 10 + length].decode("latin1"))
         shape, is_fortran, found = (described[key] for key in ("shape", "fortran_order", "descr"))
         n_numbers = math.prod(operator.index(size) for size in shape)
-    except (ValueError, TypeError, KeyError, SyntaxError, MemoryError, RecursionError) as error:
+    except (ValueError, TypeError, LookupError, SyntaxError, MemoryError, RecursionError) as error:
         words = " ".join(str(error).split())
         raise FormatError(path, f"array '{name}' is not a NumPy array ({words[:100]}); {REMEDY}") from None
     expected = np.dtype(dtype).newbyteorder("<")

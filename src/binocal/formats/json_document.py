@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 
 from binocal.errors import FormatError
+from binocal.input_file import read_text
 
 _LARGEST = sys.float_info.max
+_LARGEST_WHOLE = 2**53  # beyond it JSON readers disagree
+MOST_DIGITS = 600  # of a whole number; Python may be set to convert no more than 640
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
@@ -108,8 +111,7 @@ class Node:
 
     def fail(self, key: str, expected: str) -> FormatError:
         """The error of a key that holds something else than expected."""
-        shown = json.dumps(self.value.get(key))
-        return FormatError(self.path, f"key '{self.place}{key}': expected {expected}, got {shown[:60]}")
+        return FormatError(self.path, f"key '{self.place}{key}': expected {expected}, got {shown(self.value.get(key))}")
 
     def number(self, key: str, *, allow_null: bool = False) -> float:
         """A finite number; NaN for ``null`` where that is allowed."""
@@ -124,7 +126,7 @@ class Node:
     def integer(self, key: str) -> int:
         """A whole number."""
         value = self._get(key, "a whole number")
-        if isinstance(value, bool) or not isinstance(value, int):
+        if isinstance(value, bool) or not isinstance(value, int) or abs(value) > _LARGEST_WHOLE:
             raise self.fail(key, "a whole number")
         return value
 
@@ -140,7 +142,7 @@ class Node:
         value = self.value.get(key, [])
         if not isinstance(value, list) or not all(type(item) is int for item in value):
             raise self.fail(key, "a list of whole numbers")
-        if sorted(value) != list(range(len(value))):
+        if any(not 0 <= item < len(value) for item in value) or len(set(value)) < len(value):
             raise self.fail(key, "each of 0 to n - 1 once")
         return tuple(value)
 
@@ -187,7 +189,7 @@ class Node:
             value = _null_to_nan(value)
         try:
             array = np.array(value)
-        except ValueError:
+        except (ValueError, OverflowError, RecursionError):
             raise self.fail(key, words) from None
         if array.size == 0 and 0 in shape:
             return np.zeros(shape)
@@ -204,8 +206,20 @@ def _null_to_nan(value: Any) -> Any:
     return math.nan if value is None else value
 
 
+def shown(value: Any) -> str:
+    """A value as a message quotes it: the beginning of its JSON text."""
+    return json.dumps(value, default=str)[:60]
+
+
 def _refuse_constant(word: str) -> Any:
     raise ValueError(f"it holds {word}; an unknown number is null")
+
+
+def parse_whole(digits: str) -> int:
+    """A whole number of a text; one with thousands of digits is an error of the text's, not of Python's settings."""
+    if len(digits) > MOST_DIGITS:
+        raise ValueError(f"it holds a whole number of {len(digits)} digits")
+    return int(digits)
 
 
 def load_document(path: str | Path, schema: str) -> Node:
@@ -215,16 +229,15 @@ def load_document(path: str | Path, schema: str) -> Node:
         FormatError: The file cannot be read, is no JSON, or of another schema.
     """
     path = Path(path)
+    text = read_text(path)
     try:
-        value = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except FileNotFoundError:
-        raise FormatError(path, "no such file") from None
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
+        value = json.loads(text, parse_constant=_refuse_constant, parse_int=parse_whole)
+    except RecursionError:
+        raise FormatError(path, "is not JSON: it is nested too deeply") from None
+    except ValueError as error:
         raise FormatError(path, f"is not JSON: {error}") from None
     if not isinstance(value, dict) or "schema" not in value:
         raise FormatError(path, f"is not a binocal file: key 'schema' is missing; expected \"{schema}\"")
     if value["schema"] != schema:
-        raise FormatError(path, f"key 'schema': expected \"{schema}\", got {json.dumps(value['schema'])[:60]}")
+        raise FormatError(path, f"key 'schema': expected \"{schema}\", got {shown(value['schema'])}")
     return Node(path, "", value)

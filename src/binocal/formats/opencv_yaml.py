@@ -20,11 +20,17 @@ from numpy import ndarray
 
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import DataError, FormatError
+from binocal.formats.json_document import parse_whole
 from binocal.geometry import SE3
-from binocal.output import check_output, write_aside
+from binocal.input_file import exists, read_text
+from binocal.output import check_output, write_together
 from binocal.rectification import rectify
 from binocal.shapes import Float
+from binocal.yaml_text import parse_yaml
 
+MOST_BYTES = 16 << 20  # of text; a rig has 4 kB
+MATRIX_TAGS = ("opencv-matrix", "opencv-nd-matrix")
+MOST_DIMENSIONS = 32
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "board pitch": 1.0}
 
 OPENCV_MODELS = frozenset(("brown4", "brown5", "brown8", "fisheye4"))
@@ -68,6 +74,11 @@ def write_opencv(path: str | Path, rig: StereoRig, *, force: bool = False) -> No
     Warns:
         UserWarning: A fisheye lens: readers must use ``cv2.fisheye`` by themselves, the matrices look the same.
     """
+    write_together(opencv_texts(path, rig, force=force), force=force)
+
+
+def opencv_texts(path: str | Path, rig: StereoRig, *, force: bool = False) -> dict[str | Path, str]:
+    """The files that :func:`write_opencv` writes, by their paths. Raises and warns as it does."""
     path = Path(path)
     check_writable_for_opencv(rig)
     camera_keys: list[tuple[str, Any]] = [("imageSize", list(rig.left.size_wh))]
@@ -94,8 +105,7 @@ def write_opencv(path: str | Path, rig: StereoRig, *, force: bool = False) -> No
     ]
     targets = check_opencv_output(path, force=force)
     parts = [camera_keys + pair_keys] if len(targets) == 1 else [camera_keys, pair_keys]
-    for target, keys in zip(targets, parts, strict=True):
-        write_aside(target, _format_storage(keys), force=force)
+    return {target: _format_storage(keys) for target, keys in zip(targets, parts, strict=True)}
 
 
 def check_opencv_output(path: str | Path, *, force: bool = False) -> list[Path]:
@@ -133,7 +143,7 @@ def check_writable_for_opencv(rig: StereoRig) -> None:
         warnings.warn(
             "the OpenCV file holds a fisheye rig: read it with cv2.fisheye, "
             "the ordinary functions would take its numbers for another lens.",
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
@@ -191,19 +201,20 @@ def read_opencv(
         is_fisheye = str(values.get("distortion_model", "")).lower() in ("fisheye", "equidistant", "kannala_brandt")
     unit = str(values.get("unit", "m")) if unit is None else unit
     if unit not in UNITS_M:
-        raise FormatError(path, f"unit {unit!r} is not one of {', '.join(UNITS_M)}")
+        raise FormatError(path, f"unit {unit[:40]!r} is not one of {', '.join(UNITS_M)}")
     cameras = [
-        _camera(path, _matrix(path, values, f"K_{side}", (3, 3)), values.get(f"D_{side}"), size, is_fisheye)
+        _camera(path, _matrix(path, values, f"K_{side}", (3, 3)), _distortion(path, values, side), size, is_fisheye)
         for side, size in (("left", size_left), ("right", size_right))
     ]
-    R = _matrix(path, values, "R", (3, 3)) if np.size(values["R"]) != 3 else _rotation_of_vector(path, values)
+    is_vector = _numbers(path, values, "R").size == 3
+    R = _rotation_of_vector(path, values) if is_vector else _matrix(path, values, "R", (3, 3))
     t = _matrix(path, values, "T", (3,)) * UNITS_M[unit]
     try:
         T_right_left = SE3(R, t)
     except ValueError:
         raise FormatError(path, "matrix R is not a rotation (R Rᵀ = 1 within 1e-6, det R = +1)") from None
     rig = StereoRig(cameras[0], cameras[1], T_right_left, unit != "board pitch")
-    stored = {key: np.asarray(values[key], dtype=float) for key in ("R1", "R2", "P1", "P2") if key in values}
+    stored = {key: _numbers(path, values, key) for key in ("R1", "R2", "P1", "P2") if key in values}
     for sentence in suspicions(rig, stored, UNITS_M[unit]):
         warnings.warn(f"{path}: {sentence}", stacklevel=2)
     return rig
@@ -256,7 +267,7 @@ def suspicions(rig: StereoRig, stored: Mapping[str, ndarray], unit_m: float = 1.
 
 def _load_stereo(path: Path) -> tuple[Path, dict[str, Any]]:
     """The values by our names, of one file or of the two-file layout."""
-    if path.is_dir():
+    if exists(path) and path.is_dir():
         for suffix in (".yml", ".yaml", ".json", ".xml"):
             if (path / f"intrinsics{suffix}").exists() and (path / f"extrinsics{suffix}").exists():
                 return path, _named(path / f"intrinsics{suffix}") | _named(path / f"extrinsics{suffix}")
@@ -264,7 +275,7 @@ def _load_stereo(path: Path) -> tuple[Path, dict[str, Any]]:
     values = _named(path)
     for one, other in (("intrinsics", "extrinsics"), ("extrinsics", "intrinsics")):
         partner = path.with_name(path.name.replace(one, other))
-        if partner != path and partner.exists() and not {"K_left", "R"} <= values.keys():
+        if partner != path and exists(partner) and not {"K_left", "R"} <= values.keys():
             values = _named(partner) | values
     return path, values
 
@@ -295,14 +306,7 @@ def load_storage(path: str | Path) -> dict[str, Any]:
         FormatError: The file cannot be read or is not of that kind.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FormatError(path, "no such file") from None
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise FormatError(path, "is not a text file; expected OpenCV YAML, JSON or XML") from None
+    text = read_text(path, most_bytes=MOST_BYTES)
     start = text.lstrip()[:1]
     parse = _parse_json if start == "{" else _parse_xml if start == "<" else _parse_yaml
     try:
@@ -315,29 +319,23 @@ def load_storage(path: str | Path) -> dict[str, Any]:
 
 
 def _parse_yaml(path: Path, text: str) -> Any:
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        """SafeLoader that knows OpenCV's one tag."""
-
-    def construct(loader: Any, node: Any) -> ndarray:
-        return _array(path, loader.construct_mapping(node, deep=True))
-
-    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", construct)
-    Loader.add_constructor("tag:yaml.org,2002:opencv-nd-matrix", construct)
     lines = text.split("\n")
-    while lines and (not lines[0].strip() or lines[0].startswith("%YAML")):
-        lines.pop(0)  # PyYAML rejects OpenCV's "%YAML:1.0"
+    n_before = 0
+    while n_before < len(lines) and (not lines[n_before].strip() or lines[n_before].startswith("%YAML")):
+        n_before += 1  # PyYAML rejects OpenCV's "%YAML:1.0"
     try:
-        return yaml.load("\n".join(lines), Loader)
-    except (yaml.YAMLError, ValueError) as error:
-        raise FormatError(path, f"is not OpenCV YAML: {' '.join(str(error).split())[:200]}") from None
+        return parse_yaml(
+            "\n".join(lines[n_before:]),
+            {f"tag:yaml.org,2002:{tag}": lambda fields: _array(path, fields) for tag in MATRIX_TAGS},
+        )
+    except ValueError as error:
+        raise FormatError(path, f"is not OpenCV YAML: {error}") from None
 
 
 def _parse_json(path: Path, text: str) -> Any:
     try:
-        return _with_arrays(path, json.loads(text))
-    except json.JSONDecodeError as error:
+        return _with_arrays(path, json.loads(text, parse_int=parse_whole))
+    except ValueError as error:
         raise FormatError(path, f"is not JSON: {error}") from None
 
 
@@ -348,7 +346,7 @@ def _parse_xml(path: Path, text: str) -> Any:
         raise FormatError(path, "holds XML entities, which an OpenCV file has no use for")
     try:
         root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # an encoding that Python lacks or refuses
         raise FormatError(path, f"is not XML: {error}") from None
     return _with_arrays(path, _element(root))
 
@@ -365,7 +363,7 @@ def _element(element: Any) -> Any:
 def _scalar(word: str) -> Any:
     word = word.strip('"')
     try:
-        return int(word)
+        return parse_whole(word)
     except ValueError:
         try:
             return _number(word)
@@ -375,7 +373,7 @@ def _scalar(word: str) -> Any:
 
 def _with_arrays(path: Path, value: Any) -> Any:
     if isinstance(value, dict):
-        if str(value.get("type_id", "")) in ("opencv-matrix", "opencv-nd-matrix"):
+        if str(value.get("type_id", "")) in MATRIX_TAGS:
             return _array(path, value)
         return {key: _with_arrays(path, item) for key, item in value.items()}
     return value
@@ -389,38 +387,57 @@ def _number(value: Any) -> float:
             return math.nan if special == "nan" else math.copysign(math.inf, -1 if value.strip().startswith("-") else 1)
     if isinstance(value, bool):
         raise ValueError("a truth value is not a number")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError("a number is larger than any double") from None
 
 
 def _array(path: Path, fields: Mapping[str, Any]) -> Float[ndarray, "..."]:
     try:
-        if "sizes" in fields:
-            shape = [int(n) for n in np.atleast_1d(fields["sizes"])]
-        else:
-            shape = [int(fields["rows"]), int(fields["cols"])]
+        sizes = fields["sizes"] if "sizes" in fields else [fields["rows"], fields["cols"]]
+        shape = [_count(n) for n in (sizes if isinstance(sizes, list) else [sizes])]
         dt = str(fields.get("dt", "d")).strip().strip('"')
-        match = re.fullmatch(r"(\d*)([ucwsifdh])", dt)
+        match = re.fullmatch(r"([0-9]{0,3})([ucwsifdh])", dt)
         if not match:
-            raise FormatError(path, f"matrix type {dt!r} is not one of u c w s i f d h with an optional channel count")
+            raise FormatError(
+                path, f"matrix type {dt[:40]!r} is not one of u c w s i f d h with an optional channel count"
+            )
         channels = int(match[1] or 1)
         shape += [channels] if channels > 1 else []
         data = fields["data"]
         numbers = np.array([_number(item) for item in (data if isinstance(data, list) else [data])])
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(
-            path, f"a matrix is malformed ({type(error).__name__}: {error}); expected rows, cols, dt, data"
+            path, f"a matrix is malformed ({type(error).__name__}: {str(error)[:80]}); expected rows, cols, dt, data"
         ) from None
-    if numbers.size != math.prod(shape):
-        raise FormatError(path, f"a matrix of {'x'.join(map(str, shape))} holds {numbers.size} numbers")
+    if numbers.size != math.prod(shape) or len(shape) > MOST_DIMENSIONS:
+        raise FormatError(path, f"a matrix of {'x'.join(map(str, shape))[:80]} holds {numbers.size} numbers")
     return numbers.reshape(shape)
 
 
-def _matrix(path: Path, values: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> ndarray:
+def _count(value: Any) -> int:
+    """A whole number of rows or columns."""
+    number = _number(value)
+    if not (0 <= number < 2**31 and number == int(number)):
+        raise ValueError(f"{str(value)[:40]!r} is no number of rows or columns")
+    return int(number)
+
+
+def _numbers(path: Path, values: Mapping[str, Any], key: str) -> ndarray:
+    """What stands under a key, as finite numbers of whatever shape."""
     try:
         array = np.array(values[key], dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise FormatError(path, f"{key} is not a matrix") from None
-    if array.size != math.prod(shape) or not np.all(np.isfinite(array)):
+    if not np.all(np.isfinite(array)):
+        raise FormatError(path, f"{key} must hold finite numbers")
+    return array
+
+
+def _matrix(path: Path, values: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> ndarray:
+    array = _numbers(path, values, key)
+    if array.size != math.prod(shape):
         raise FormatError(path, f"{key} must hold {'x'.join(map(str, shape))} finite numbers; got {array.shape}")
     return array.reshape(shape)
 
@@ -438,17 +455,21 @@ def _size(path: Path, values: Mapping[str, Any], key: str) -> tuple[int, int] | 
     if value is None:
         return None
     try:
-        width, height = (int(float(n)) for n in np.ravel(value))
-    except (TypeError, ValueError):
-        raise FormatError(path, f"image size {value!r} is not [width, height]") from None
+        width, height = (int(_number(n)) for n in np.ravel(value).tolist())
+    except (TypeError, ValueError, OverflowError):
+        raise FormatError(path, f"image size {str(value)[:80]!r} is not [width, height]") from None
     if width < 1 or height < 1:
         raise FormatError(path, f"image size {width}x{height} is not positive")
     return width, height
 
 
-def _camera(path: Path, K: ndarray, distortion: Any, size_wh: tuple[int, int], is_fisheye: bool) -> Camera:
+def _distortion(path: Path, values: Mapping[str, Any], side: str) -> ndarray:
+    key = f"D_{side}"
+    return np.zeros(4) if values.get(key) is None else _numbers(path, values, key).ravel()
+
+
+def _camera(path: Path, K: ndarray, d: ndarray, size_wh: tuple[int, int], is_fisheye: bool) -> Camera:
     try:
-        d = np.zeros(4) if distortion is None else np.ravel(np.asarray(distortion, dtype=float))
         if is_fisheye and d.size != 4:
             raise ValueError(f"a fisheye lens has 4 coefficients; got {d.size}")
         if np.abs(K[2] - [0, 0, 1]).max() > 1e-9 or abs(K[1, 0]) > 1e-9:

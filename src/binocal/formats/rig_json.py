@@ -17,10 +17,20 @@ import numpy as np
 
 from binocal.boards import Board, format_board, parse_board
 from binocal.cameras import Camera, StereoRig, camera_model
+from binocal.cameras.camera import MOST_SIDE_PX
 from binocal.errors import FormatError
 from binocal.findings import UNCODED, Finding, Severity, finding_document
-from binocal.formats.json_document import Node, dump_json, jsonable, load_document, unknown_keys, with_unknown_keys
+from binocal.formats.json_document import (
+    Node,
+    dump_json,
+    jsonable,
+    load_document,
+    parse_whole,
+    unknown_keys,
+    with_unknown_keys,
+)
 from binocal.geometry import SE3
+from binocal.input_file import MOST_TEXT_BYTES, read_file
 from binocal.output import write_aside
 from binocal.result import (
     BoardShape,
@@ -176,7 +186,12 @@ def write_calibration(path: str | Path, calibration: StereoCalibration, *, force
         OutputExistsError: The file is there and ``force`` is False.
         DataError: The file cannot be written.
     """
-    write_aside(path, dump_json(calibration_document(calibration)), force=force)
+    write_aside(path, calibration_text(calibration), force=force)
+
+
+def calibration_text(calibration: StereoCalibration) -> str:
+    """What :func:`write_calibration` writes."""
+    return dump_json(calibration_document(calibration))
 
 
 def write_rig(path: str | Path, rig: StereoRig, *, force: bool = False) -> None:
@@ -187,8 +202,8 @@ def write_rig(path: str | Path, rig: StereoRig, *, force: bool = False) -> None:
 def is_rig_file(path: str | Path) -> bool:
     """Whether the file is binocal's by what it says of itself: a JSON object with the key ``schema`` and a known start."""
     try:
-        value = json.loads(Path(path).read_bytes())
-    except (OSError, ValueError, RecursionError):
+        value = json.loads(read_file(path, most_bytes=MOST_TEXT_BYTES), parse_int=parse_whole)
+    except (FormatError, ValueError, RecursionError):
         return False
     return isinstance(value, dict) and str(value.get("schema", "")).startswith(SCHEMA.partition("/")[0] + "/")
 
@@ -298,6 +313,8 @@ def _parse_camera(node: Node) -> Camera:
     except ValueError as error:
         raise FormatError(node.path, f"key '{node.place}model': {error}") from None
     size = node.array("image_size", (2,))
+    if not all(1 <= side <= MOST_SIDE_PX and side == int(side) for side in size):
+        raise node.fail("image_size", "two whole numbers of pixels")
     linear = [node.number(key) for key in ("fx", "fy", "cx", "cy", "skew")]
     distortion = node.array("distortion", (n_distortion,))
     try:

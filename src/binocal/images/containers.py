@@ -9,11 +9,20 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from functools import partial
 
-_TIFF_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
-_TIFF_FORMATS = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
-# Entropy-coded JPEG data end at an FF that is followed by neither a stuffed zero, a restart marker nor a fill byte.
-_JPEG_MARKER = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])")
+from binocal.images.tiff import tiff_problem
+
+# Possessive: a run of spaces and comments is looked at in one way only.
+_PNM_SPACE = rb"(?:\s|#[^\n]*+\n)++"
+# Entropy-coded JPEG data end at an FF that is followed by neither a stuffed zero, a restart marker nor a fill byte. Of fill bytes
+# only the last counts: a pattern that takes them all in looks at a long run of them once for each of its bytes.
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\xd0-\xd7\xff])")
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+MOST_PIXELS = 1 << 28  # the largest cameras have 150 million
+MOST_PIXELS_PER_BYTE = (
+    1100  # what deflate and arithmetic coding of a plain image reach; less content is a damaged header
+)
 
 
 def identify_container(content: bytes) -> str | None:
@@ -33,7 +42,7 @@ def identify_container(content: bytes) -> str | None:
 
 def structure_problem(content: bytes, container: str) -> str:
     """What is wrong with the container's structure, as the end of a sentence about the file; empty if nothing is."""
-    check = {
+    check = {  # each also says how large the image claims to be, before the decoder makes room for it
         "PNG": _png_problem,
         "JPEG": _jpeg_problem,
         "TIFF": _tiff_problem,
@@ -46,7 +55,20 @@ def structure_problem(content: bytes, container: str) -> str:
         return f"is a truncated {container} file"
 
 
+def _size_problem(content: bytes, container: str, width: int, height: int) -> str:
+    """What is wrong with the size that a header states."""
+    n_pixels = width * height
+    if width < 1 or height < 1:
+        return f"is a damaged {container} file (its header states {width} x {height} pixels)"
+    if n_pixels > MOST_PIXELS:
+        return f"is too large, or its header is damaged: it states {width} x {height} pixels"
+    if n_pixels > MOST_PIXELS_PER_BYTE * len(content):
+        return f"is a damaged {container} file (its header states {width} x {height} pixels for {len(content)} bytes)"
+    return ""
+
+
 def _png_problem(content: bytes) -> str:
+    width, height = struct.unpack_from(">II", content, 16)
     position = 8
     while position < len(content):
         length, kind = struct.unpack_from(">I4s", content, position)
@@ -57,18 +79,21 @@ def _png_problem(content: bytes) -> str:
         if zlib.crc32(memoryview(content)[position + 4 : end - 4]) != checksum:
             return "is a damaged PNG file (a checksum does not match)"
         if kind == b"IEND":
-            return ""
+            return _size_problem(content, "PNG", width, height)
         position = end
     return "is a truncated PNG file"
 
 
 def _jpeg_problem(content: bytes) -> str:
-    position = 2
+    position, problem = 2, ""
     while match := _JPEG_MARKER.search(content, position):
         marker = match[1][0]
         if marker == 0xD9:
-            return ""
+            return problem
         (length,) = struct.unpack_from(">H", content, match.end())
+        if marker in _JPEG_FRAMES:
+            height, width = struct.unpack_from(">HH", content, match.end() + 3)
+            problem = problem or _size_problem(content, "JPEG", width, height)
         position = match.end() + length
     return "is a truncated JPEG file"
 
@@ -86,49 +111,22 @@ def _bmp_problem(content: bytes) -> str:
     if not is_plain:
         (stored,) = struct.unpack_from("<I", content, 34)
         needed += stored
-    return "is a truncated BMP file" if len(content) < needed else ""
+    if len(content) < needed:
+        return "is a truncated BMP file"
+    return _size_problem(content, "BMP", abs(width), abs(height))
 
 
 def _pnm_problem(content: bytes) -> str:
     if content[1:2] in b"23":  # plain text: the decoder itself counts the numbers
-        return ""
-    header = re.match(rb"P[56](?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)\s", content[:4096])
+        header = re.match(rb"P[23]" + 2 * (_PNM_SPACE + rb"(\d{1,9})") + rb"\s", content[:4096])
+        return _size_problem(content, "PNM", *map(int, header.groups())) if header else "is a damaged PNM file"
+    header = re.match(rb"P[56]" + 3 * (_PNM_SPACE + rb"(\d{1,9})") + rb"\s", content[:4096])
     if not header:
         return "is a damaged PNM file"
     width, height, most = (int(field) for field in header.groups())
     needed = header.end() + width * height * (3 if content[1:2] == b"6" else 1) * (2 if most > 255 else 1)
-    return "is a truncated PNM file" if len(content) < needed else ""
+    return "is a truncated PNM file" if len(content) < needed else _size_problem(content, "PNM", width, height)
 
 
 def _tiff_problem(content: bytes) -> str:
-    order = "<" if content[:1] == b"I" else ">"
-    is_big = b"+" in content[2:4]
-    tags = _read_tiff_directory(content, order, is_big)
-    if tags is None:
-        return "is a truncated TIFF file"
-    for offsets, counts in ((273, 279), (324, 325)):  # strips, tiles
-        if offsets in tags and counts in tags:
-            ends = [at + length for at, length in zip(tags[offsets], tags[counts], strict=False)]
-            return "is a truncated TIFF file" if not ends or max(ends) > len(content) else ""
-    return ""  # no byte counts (old writers): the decoder decides
-
-
-def _read_tiff_directory(content: bytes, order: str, is_big: bool) -> dict[int, tuple[int, ...]] | None:
-    """The integer tags of the first directory; None where the directory lies beyond the end of the file."""
-    word, word_size = ("Q", 8) if is_big else ("I", 4)
-    (at,) = struct.unpack_from(order + word, content, 8 if is_big else 4)
-    (n_entries,) = struct.unpack_from(order + ("Q" if is_big else "H"), content, at)
-    at += 8 if is_big else 2
-    tags = {}
-    for index in range(n_entries):
-        entry = at + index * (20 if is_big else 12)
-        tag, kind = struct.unpack_from(order + "HH", content, entry)
-        (count,) = struct.unpack_from(order + word, content, entry + 4)
-        value_at = entry + 4 + word_size
-        if _TIFF_SIZES.get(kind, 1) * count > word_size:
-            (value_at,) = struct.unpack_from(order + word, content, value_at)
-        if value_at + _TIFF_SIZES.get(kind, 1) * count > len(content):
-            return None
-        if kind in _TIFF_FORMATS:
-            tags[tag] = struct.unpack_from(f"{order}{count}{_TIFF_FORMATS[kind]}", content, value_at)
-    return tags
+    return tiff_problem(content, partial(_size_problem, content, "TIFF"))

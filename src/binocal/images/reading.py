@@ -7,6 +7,7 @@ So the container's own structure is walked first (:mod:`binocal.images.container
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TypeAlias
@@ -17,6 +18,8 @@ from numpy import ndarray
 from binocal.errors import FormatError
 from binocal.images.containers import identify_container, structure_problem
 from binocal.images.opencv_settings import quiet_opencv
+from binocal.images.tiff import count_pages, without_orientation
+from binocal.input_file import read_file
 from binocal.shapes import UInt8, UInt16
 
 Image: TypeAlias = "UInt8[ndarray, 'h w'] | UInt16[ndarray, 'h w'] | UInt8[ndarray, 'h w 3'] | UInt16[ndarray, 'h w 3']"
@@ -29,8 +32,8 @@ def read_image(path: str | PathLike[str]) -> Image:
     """The pixels of a PNG, JPEG, TIFF, BMP or PNM file as the sensor wrote them.
 
     Grey images are (h, w), colour ones (h, w, 3) in OpenCV's blue-green-red order; uint8 or uint16. Transparency is
-    dropped. An EXIF orientation is ignored on purpose: a calibration belongs to the sensor's pixels, not to their
-    display.
+    dropped. An orientation tag, of EXIF in JPEG or of TIFF, is ignored on purpose: a calibration belongs to the sensor's
+    pixels as they are stored, not to their display. Of a TIFF file with several images the first is read.
 
     Raises:
         FormatError: The file is missing, empty, truncated, no image, or of an unsupported depth; the text says which.
@@ -47,14 +50,25 @@ def read_grey_image(path: str | PathLike[str]) -> GreyImage:
     return to_grey(_decode(Path(path), _read_bytes(Path(path)), as_grey=True))
 
 
-def read_hashed_grey_image(path: str | PathLike[str]) -> tuple[GreyImage, str]:
-    """As :func:`read_grey_image`, and the SHA-256 of the file, which is read once for both.
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredImage:
+    """An image file: its grey levels, the SHA-256 of its bytes, and how many images (pages) it holds."""
+
+    grey: GreyImage
+    sha256: str
+    n_pages: int = 1
+
+
+def read_stored_image(path: str | PathLike[str]) -> StoredImage:
+    """As :func:`read_grey_image`, and what else is known of the file, which is read once for all.
 
     Raises:
         FormatError: As in :func:`read_image`.
     """
     content = _read_bytes(Path(path))
-    return to_grey(_decode(Path(path), content, as_grey=True)), hashlib.sha256(content).hexdigest()
+    grey = to_grey(_decode(Path(path), content, as_grey=True))
+    n_pages = count_pages(content) if identify_container(content) == "TIFF" else 1
+    return StoredImage(grey, hashlib.sha256(content).hexdigest(), n_pages)
 
 
 def to_grey(image: Image) -> GreyImage:
@@ -86,13 +100,15 @@ def _decode(path: Path, content: bytes, *, as_grey: bool) -> ndarray:
     problem = structure_problem(content, container)
     if problem:
         raise FormatError(path, f"{problem}; copy or record the image again")
+    if container == "TIFF":
+        content = without_orientation(content)
     flags = cv2.IMREAD_UNCHANGED
     if as_grey and container == "JPEG":
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     with quiet_opencv():
         try:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-        except cv2.error:
+        except (cv2.error, MemoryError):
             image = None
     if image is None or image.size == 0:
         raise FormatError(path, f"is a damaged or unsupported {container} file; {_REMEDY}")
@@ -104,14 +120,7 @@ def _decode(path: Path, content: bytes, *, as_grey: bool) -> ndarray:
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise FormatError(path, "there is no such file; check the name") from None
-    except IsADirectoryError:
-        raise FormatError(path, "is a folder, not an image; name the images in it, such as left*.png") from None
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    content = read_file(path)
     if not content:
         raise FormatError(path, "is an empty file; copy or record the image again")
     return content

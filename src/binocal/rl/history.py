@@ -12,6 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.errors import FormatError
+from binocal.input_file import check_ordinary
 from binocal.output import write_aside
 from binocal.shapes import Float, Int
 
@@ -104,6 +105,8 @@ def load_history(path: Path) -> TrainingHistory:
         FormatError: The file is not a training history.
         OSError: There is no such file.
     """
+    if path.exists():
+        check_ordinary(path)
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             label = json.loads(str(file["label"]))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.errors import FormatError
+from binocal.input_file import read_file
 from binocal.output import write_aside
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.task import (
@@ -29,6 +30,7 @@ from binocal.solvers.board_views import BundleProblem, BundleState
 from binocal.solvers.loop_state import Action, Memory
 
 SHIPPED = {AgentKind.DRL: "drl.safetensors", AgentKind.DRL_INCREMENTS: "drl_increments.safetensors"}
+MOST_BYTES = 64 << 20  # the shipped weights have 60 kB
 LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps
 OBSERVATION_LIMIT = 5.0  # in units of the spread, as in training
 
@@ -108,29 +110,44 @@ def load_policy(path: str | Path) -> Policy:
     Raises:
         FormatError: The file is not one, or its shapes do not fit this version's observation.
     """
-    from safetensors import SafetensorError, safe_open
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
 
+    content = read_file(path, most_bytes=MOST_BYTES)
     try:
-        with safe_open(str(path), framework="numpy") as file:
-            arrays = {name: file.get_tensor(name).astype(float) for name in file.keys()}  # noqa: SIM118 - not a dict
-            metadata = file.metadata() or {}
-    except FileNotFoundError:
-        raise FormatError(path, "no such file.") from None
-    except (OSError, SafetensorError) as error:
-        raise FormatError(path, f"not a readable safetensors file ({error}).") from None
+        arrays = {name: array.astype(float) for name, array in load(content).items()}
+    except (SafetensorError, ValueError, TypeError, LookupError, OverflowError) as error:
+        raise FormatError(path, f"not a readable safetensors file ({' '.join(str(error).split())[:100]}).") from None
     try:
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        metadata = header["__metadata__"]
         kind = AgentKind.of_stored(metadata.get("kind") or metadata["meaning"])
-        names = observation_names(kind)
         n_layers = sum(name.startswith("weight") for name in arrays)
         layers = tuple((arrays[f"weight{i}"], arrays[f"bias{i}"]) for i in range(n_layers))
-        policy = Policy(kind, arrays["mean"], arrays["spread"], layers, json.loads(metadata["card"]))
-    except (KeyError, ValueError, json.JSONDecodeError) as error:
-        raise FormatError(path, f"not binocal's weights ({error} missing or unreadable).") from None
-    sizes = [policy.mean.shape[0], *(w.shape[0] for w, _ in layers)]
-    fits = all(w.shape == (b, a) for (w, _), a, b in zip(layers, sizes[:-1], sizes[1:], strict=True))
-    if not fits or sizes[0] != len(names) or sizes[-1] != n_actions(kind):
+        card = json.loads(metadata["card"])
+        if not isinstance(card, dict):
+            raise ValueError("its card is no object; it is")
+        policy = Policy(kind, arrays["mean"], arrays["spread"], layers, card)
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise FormatError(
+            path, f"not binocal's weights ({' '.join(str(error).split())[:100]} missing or unreadable)."
+        ) from None
+    if not _fit(policy):
         raise FormatError(path, "weights for another version of the observation; train again.")
     return policy
+
+
+def _fit(policy: Policy) -> bool:
+    """Whether the shapes are those of this version's observation and actions."""
+    n_observed = len(observation_names(policy.kind))
+    if not policy.layers or policy.mean.shape != (n_observed,) or policy.spread.shape != (n_observed,):
+        return False
+    n_in = n_observed
+    for weight, bias in policy.layers:
+        if weight.ndim != 2 or weight.shape[1] != n_in or bias.shape != weight.shape[:1]:
+            return False
+        n_in = len(weight)
+    return n_in == n_actions(policy.kind)
 
 
 def save_policy(policy: Policy, path: str | Path) -> None:

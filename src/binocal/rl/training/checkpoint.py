@@ -10,10 +10,15 @@ from typing import Any
 import torch
 
 from binocal.errors import FormatError
+from binocal.input_file import check_ordinary
 from binocal.output import write_aside
 from binocal.rl.training.trainer import Training
 
 VERSION = 1
+_DAMAGED = (  # what unpickling bytes that are none raises
+    *(OSError, RuntimeError, EOFError, pickle.UnpicklingError, ValueError, LookupError, TypeError),
+    *(AttributeError, ImportError, ArithmeticError, MemoryError, AssertionError),
+)
 
 
 def save_checkpoint(training: Training, path: Path) -> None:
@@ -31,10 +36,11 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         FormatError: The file is not a checkpoint of this version.
     """
+    check_ordinary(path)
     try:
         state = torch.load(path, weights_only=False)
-    except (OSError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
-        raise FormatError(path, f"not a readable checkpoint ({error}).") from None
+    except _DAMAGED as error:
+        raise FormatError(path, f"not a readable checkpoint ({' '.join(str(error).split())[:200]}).") from None
     if not isinstance(state, dict) or state.get("version") != VERSION:
         raise FormatError(path, "a checkpoint of another version; train anew.")
     return state
