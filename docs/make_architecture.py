@@ -32,6 +32,7 @@ LABELS = {
     "images": "strict reading",
     "initialization": "closed forms, diagnosis",
     "kernels": "C++: inner loops",
+    "matching": "points that both cameras saw",
     "metrics": "figures of merit",
     "rectification": "maps, rows",
     "report": "figures",

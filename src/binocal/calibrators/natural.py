@@ -100,12 +100,12 @@ def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> St
     is_right = equations.weights > 0
     _refuse_wrong(matches, is_right, noise_px)
     findings: list[Finding] = list(_pairs_apart(matches, is_right))
-    covariance = _covariance(problem, matches, equations, estimate, noise_px, request)
+    covariance, random = _covariance(problem, matches, equations, estimate, noise_px, request)
     if _all_far(problem.select(is_right), estimate, noise_px):
         covariance[[3, 4], [3, 4]] += np.radians(90.0) ** 2
     estimate, covariance, kept = _with_untold_kept(problem, estimate, covariance, noise_px, request)
     findings += kept
-    return _calibration(matches, request, estimate, covariance, (noise_px, name), tuple(findings))
+    return _calibration(matches, request, estimate, (covariance, random), (noise_px, name), tuple(findings))
 
 
 def _refuse_whole_rows(matches: PointMatches) -> None:
@@ -182,8 +182,8 @@ def _covariance(
     estimate: RelativePose,
     noise_px: float,
     request: NaturalRequest,
-) -> Float[ndarray, "q q"]:
-    """Of the five unknowns and both cameras' parameters together."""
+) -> tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]]:
+    """Of the five unknowns and both cameras' parameters together; and the part of the former that other images would have anew."""
     regions = regions_of(matches.left_px, request.cameras[0].size_wh)
     own = covariance_by_regions(equations, regions, np.random.default_rng(request.seed))
     noise = covariance_of_noise(equations, noise_px)
@@ -205,7 +205,7 @@ def _covariance(
     whole[:5, 5:] = A @ of_cameras
     whole[5:, :5] = whole[:5, 5:].T
     whole[5:, 5:] = of_cameras
-    return whole
+    return whole, own
 
 
 def intrinsics_covariance(cameras: tuple[Camera, Camera], known: Covariance | None) -> Float[ndarray, "p p"]:
@@ -300,11 +300,11 @@ def _calibration(
     matches: PointMatches,
     request: NaturalRequest,
     estimate: RelativePose,
-    covariance: Float[ndarray, "q q"],
+    covariances: tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]],
     known: tuple[float, str],
     findings: tuple[Finding, ...],
 ) -> StereoCalibration:
-    noise_px, start = known
+    (noise_px, start), (covariance, random) = known, covariances
     length = request.baseline_m if request.baseline_m is not None else 1.0
     rig = StereoRig(
         *request.cameras, SE3(so3.project_to_rotation(estimate.R), length * estimate.t), request.baseline_m is not None
@@ -343,6 +343,7 @@ def _calibration(
             "start": start,
             "n_matches": len(matches),
             "n_right": int(is_right.sum()),
+            "random_rotation_covariance_rad2": random[:3, :3].tolist(),
             "length_from": request.length_from,
             "intrinsics_sigma": "rig file" if request.intrinsics is not None else "assumed",
         },

@@ -375,6 +375,95 @@ def evaluate(
     return FINE
 
 
+OldRig = Annotated[
+    Path,
+    typer.Option(
+        "--rig", help="The rig whose cameras took the images: rig.json, or OpenCV's file.", metavar="RIG.JSON"
+    ),
+]
+MaxPairs = Annotated[
+    int, typer.Option("--max-pairs", help="Use the N most telling pairs of those looked at.", metavar="N", min=1)
+]
+
+
+class Starts(enum.StrEnum):
+    """Whether the old rig's pose is known."""
+
+    rig = "rig"
+    none = "none"
+
+
+@app.command()
+def recalibrate(
+    left: Left,
+    right: Right,
+    rig: OldRig,
+    output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
+        "new.json"
+    ),
+    start: Annotated[
+        Starts,
+        typer.Option("--start", help="rig: its pose is nearly right; none: only its cameras are.", metavar="rig|none"),
+    ] = Starts.rig,
+    baseline: Annotated[
+        str | None,
+        typer.Option(
+            "--baseline", help="Distance of the cameras, such as 120mm; default: the old rig's.", metavar="LENGTH"
+        ),
+    ] = None,
+    reference: Annotated[
+        bool,
+        typer.Option("--reference", help="Write the rig as given, with this result as what `check` compares with."),
+    ] = False,
+    max_pairs: MaxPairs = 20,
+    seed: Seed = 0,
+    threads: Threads = None,
+    force: Force = False,
+    json: Json = False,
+) -> int:
+    """Find rotation and direction of translation anew from images without a board, intrinsics held."""
+    from binocal.app import natural
+    from binocal.cli import natural as texts
+    from binocal.cli.progress import progress_on_terminal
+    from binocal.formats import rig_json
+    from binocal.output import check_output
+
+    length_m = _parse_length(baseline)
+    check_output(output, force=force)
+    given = natural.load_given_rig(rig)
+    source = natural.source_of_images(left, right, given)
+    with progress_on_terminal() as progress:
+        options = natural.NaturalOptions(start is Starts.rig, length_m, max_pairs, seed, progress)
+        run = natural.recalibrate(source, options)
+    written = natural.with_reference(given, run) if reference else run.calibration
+    rig_json.write_calibration(output, written, force=force)
+    kept = ", the rig as given with this result as its reference" if reference else ""
+    _present(texts.run_document(run, output=str(output)), texts.recalibrate_text(run, output, kept), json)
+    return FINE
+
+
+@app.command()
+def check(
+    left: Left,
+    right: Right,
+    rig: OldRig,
+    max_pairs: MaxPairs = 20,
+    seed: Seed = 0,
+    threads: Threads = None,
+    json: Json = False,
+) -> int:
+    """Say from images without a board whether a rig is still calibrated; exit code 4 if it has drifted."""
+    from binocal.app import natural
+    from binocal.cli import natural as texts
+    from binocal.cli.progress import progress_on_terminal
+
+    source = natural.source_of_images(left, right, natural.load_given_rig(rig))
+    with progress_on_terminal() as progress:
+        run = natural.recalibrate(source, natural.NaturalOptions(max_pairs=max_pairs, seed=seed, progress=progress))
+    _present(texts.check_document(run), texts.check_text(run), json)
+    return BELOW_QUALITY if run.drift.is_sure else FINE
+
+
 @app.command()
 def train(
     output: Annotated[
@@ -518,6 +607,21 @@ def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
         print_document(dump_json(jsonable(document)))
     else:
         print(text)
+
+
+def _parse_length(text: str | None) -> float | None:
+    """Metres of a length with its unit."""
+    if text is None:
+        return None
+    from binocal.boards.board import parse_length
+
+    try:
+        length_m, is_metric = parse_length(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    if not is_metric:
+        raise typer.BadParameter(f"--baseline {text} needs a unit: mm, cm, m or in.")
+    return length_m
 
 
 def _parse_board(spec: str) -> Any:

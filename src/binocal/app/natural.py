@@ -1,0 +1,306 @@
+"""``binocal recalibrate`` and ``binocal check``: a rig from natural images, and whether a rig is still what its file says."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
+from binocal.cameras import Camera, StereoRig
+from binocal.datasets.folder import list_pairs
+from binocal.errors import DataError
+from binocal.evidence.point_matches import PointMatches
+from binocal.formats import rig_json
+from binocal.formats.rig_file import load_rig
+from binocal.geometry import SE3, so3
+from binocal.images.reading import read_grey_image
+from binocal.matching.pairs import match_pair
+from binocal.matching.relative_pose import estimate_relative_pose
+from binocal.metrics.rows import RowFigures, row_figures
+from binocal.progress import ProgressCallback, ShouldStop
+from binocal.result import Covariance, ResidualSummary, StereoCalibration
+from binocal.shapes import Float
+from binocal.solvers.epipolar import EpipolarProblem, RelativePose
+from binocal.solvers.robust import TUKEY_END
+
+MAX_PAIRS = 20  # used; the random part of the error is below that of the intrinsics after four
+LOOKED_AT = 40  # evenly, of which the most telling are used
+DRIFT_SIGMAS = 4.0  # twelve regions of one pair leave heavier tails than a normal's 3
+DEPTHS_M = (1.0, 5.0, 20.0)
+ANGLES = ("pitch", "yaw", "roll")
+REFERENCE = "reference"
+"""Where a rig file holds its own result of ``recalibrate``."""
+
+
+@dataclass(frozen=True, slots=True)
+class NaturalPair:
+    """Two images of one moment."""
+
+    name: str
+    left_path: Path
+    right_path: Path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NaturalSource:
+    """Pairs and what is known of the rig that took them.
+
+    ``covariance`` is that of the rig's parameters, if a file says it; ``reference`` the result of an earlier ``recalibrate``, see
+    :data:`REFERENCE`.
+    """
+
+    pairs: Sequence[NaturalPair]
+    rig: StereoRig
+    covariance: Covariance | None = None
+    reference: Mapping[str, Any] | None = None
+    length_from: str = "the old rig"
+
+    @property
+    def intrinsics(self) -> Covariance | None:
+        """The covariance, if it says something of the cameras' parameters."""
+        names = () if self.covariance is None else self.covariance.names
+        return self.covariance if any(name.startswith(("left.", "right.")) for name in names) else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NaturalOptions:
+    """``from_old_rig``: the rig's pose is the start and bounds the result; else nothing is known but the cameras."""
+
+    from_old_rig: bool = True
+    baseline_m: float | None = None
+    max_pairs: int = MAX_PAIRS
+    seed: int = 0
+    progress: ProgressCallback | None = None
+    should_stop: ShouldStop | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """The turn from one rig to another, about the right camera's x, y and z, with its standard deviation where they are one."""
+
+    turn_deg: Float[ndarray, "3"]
+    sigma_deg: Float[ndarray, "3"]
+    direction_deg: float
+    against: str
+
+    @property
+    def z(self) -> Float[ndarray, "3"]:
+        """Turns over their standard deviations."""
+        return self.turn_deg / np.maximum(self.sigma_deg, 1e-12)
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the rig has turned."""
+        return bool(np.abs(self.z).max() > DRIFT_SIGMAS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NaturalRun:
+    """A recalibration: the result, rows before and after, and how far it is from the rig that was given."""
+
+    calibration: StereoCalibration
+    before: RowFigures
+    after: RowFigures
+    drift: Drift
+    matches: PointMatches
+    elapsed_s: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def depth_error_percent(self) -> dict[str, float]:
+        """What the drift in yaw does to depth, percent, by distance in metres; empty without a length."""
+        rig = self.calibration.rig
+        if not rig.is_metric:
+            return {}
+        yaw = np.radians(abs(float(self.drift.turn_deg[1])))
+        return {f"{z:g}": float(100 * z * yaw / rig.baseline_m) for z in DEPTHS_M}
+
+
+def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) -> NaturalRun:
+    """Rotation and direction of translation from natural pairs, intrinsics held.
+
+    Raises:
+        DataError: An image cannot be read or is not of the rig's cameras.
+        CalibrationError: The images tell no rig.
+        CancelledError: ``should_stop`` said so.
+    """
+    options = options or NaturalOptions()
+    if not source.pairs:
+        raise DataError("no pairs of images.")
+    cameras = source.rig.left, source.rig.right
+    started = time.perf_counter()
+    matches = _matches(source, options)
+    matched = time.perf_counter()
+    old = source.rig.T_right_left if options.from_old_rig else None
+    length, said = options.baseline_m, "--baseline"
+    if length is None:
+        length, said = (source.rig.baseline_m, source.length_from) if source.rig.is_metric else (None, "nothing")
+    request = NaturalRequest(
+        cameras,
+        old,
+        length,
+        said,
+        source.intrinsics,
+        lambda found: estimate_relative_pose(cameras, found.left_px, found.right_px),
+        options.seed,
+    )
+    calibration = calibrate_from_matches(matches, request)
+    right = _right_matches(cameras, calibration, matches)
+    drift = _drift(calibration, source)
+    elapsed = {"matching": matched - started, "solve": time.perf_counter() - matched}
+    return NaturalRun(
+        calibration, row_figures(source.rig, right), row_figures(calibration.rig, right), drift, right, elapsed
+    )
+
+
+def _matches(source: NaturalSource, options: NaturalOptions) -> PointMatches:
+    """Matches of the most telling pairs."""
+    place = np.unique(np.linspace(0, len(source.pairs) - 1, min(len(source.pairs), LOOKED_AT)).round().astype(int))
+    parts: list[PointMatches] = []
+    cameras = source.rig.left, source.rig.right
+    for count, index in enumerate(place):
+        if options.should_stop is not None and options.should_stop():
+            from binocal.errors import CancelledError
+
+            raise CancelledError("cancelled while matching.")
+        pair = source.pairs[int(index)]
+        images = read_grey_image(pair.left_path), read_grey_image(pair.right_path)
+        for side, image, camera, path in zip(
+            ("left", "right"), images, cameras, (pair.left_path, pair.right_path), strict=True
+        ):
+            size = image.shape[1], image.shape[0]
+            if size != camera.size_wh:
+                raise DataError(
+                    f"{path}: {size[0]}x{size[1]} pixels, the rig's {side} camera has {camera.size_wh[0]}x{camera.size_wh[1]}; "
+                    "give images as this rig's cameras take them."
+                )
+        parts.append(match_pair(images[0], images[1], pair.name))
+        if options.progress is not None:
+            options.progress("pairs", count + 1, len(place))
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        none = np.zeros((0, 2))
+        return PointMatches(
+            none, none, np.zeros(0, dtype=int), (source.pairs[0].name,), cameras[0].size_wh, cameras[1].size_wh
+        )
+    if len(parts) > options.max_pairs:
+        parts = [parts[i] for i in most_telling(source.rig, parts, options.max_pairs)]
+    return PointMatches.joined(parts)
+
+
+def most_telling(rig: StereoRig, parts: Sequence[PointMatches], n_wanted: int) -> list[int]:
+    """The pairs that together tell the pose best: each next one lowers the trace of its covariance most.
+
+    Greedy choice comes within 1 % of exchanging until nothing improves.
+    """
+    pose = RelativePose.of(rig.T_right_left)
+    informations = []
+    for part in parts:
+        problem, _ = EpipolarProblem.of_matches((rig.left, rig.right), part)
+        informations.append(problem.linearize(pose, np.asarray(1.0), "geman").information)
+    total = np.sum(informations, axis=0)
+    size = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
+    scaled = [A * size[:, None] * size for A in informations]
+    chosen: list[int] = []
+    known = 1e-6 * np.eye(5)
+    while len(chosen) < n_wanted:
+        rest = [i for i in range(len(parts)) if i not in chosen]
+        best = min(rest, key=lambda i: float(np.trace(np.linalg.inv(known + scaled[i]))))
+        chosen.append(best)
+        known = known + scaled[best]
+    return sorted(chosen)
+
+
+def _right_matches(
+    cameras: tuple[Camera, Camera], calibration: StereoCalibration, matches: PointMatches
+) -> PointMatches:
+    problem, has_rays = EpipolarProblem.of_matches(cameras, matches)
+    residuals = np.abs(problem.residuals_px(RelativePose.of(calibration.rig.T_right_left)))
+    return matches.select(np.flatnonzero(has_rays)[residuals < TUKEY_END * calibration.noise_px])
+
+
+def _drift(calibration: StereoCalibration, source: NaturalSource) -> Drift:
+    """Against the reference, whose intrinsics are the same, the random parts alone count; against the rig, all that is uncertain."""
+    T = calibration.rig.T_right_left
+    if source.reference is not None:
+        R, t, random = reference_values(source.reference)
+        own = np.array(calibration.provenance["random_rotation_covariance_rad2"])
+        covariance, against = own + random, "the file's own reference"
+    else:
+        R, t = source.rig.T_right_left.R, source.rig.T_right_left.t
+        covariance, against = calibration.covariance.block("rotation"), "the rig as given"
+        if source.covariance is not None and "rotation.x" in source.covariance.names:
+            covariance = covariance + source.covariance.block("rotation")
+    turn = np.degrees(so3.log(T.R @ R.T))
+    cosine = float(np.clip(T.t @ t / np.linalg.norm(T.t) / np.linalg.norm(t), -1, 1))
+    return Drift(turn, np.degrees(np.sqrt(np.diagonal(covariance))), float(np.degrees(np.arccos(cosine))), against)
+
+
+def reference_document(calibration: StereoCalibration) -> dict[str, Any]:
+    """What a rig file keeps of its own ``recalibrate``."""
+    T = calibration.rig.T_right_left
+    return {
+        "R": T.R.tolist(),
+        "T_direction": (T.t / np.linalg.norm(T.t)).tolist(),
+        "random_rotation_covariance_rad2": calibration.provenance["random_rotation_covariance_rad2"],
+        "n_matches": calibration.provenance["n_matches"],
+        "pairs": [view.name for view in calibration.views],
+    }
+
+
+def reference_values(
+    document: Mapping[str, Any],
+) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"], Float[ndarray, "3 3"]]:
+    """Rotation, direction and random covariance of a reference.
+
+    Raises:
+        DataError: They are none.
+    """
+    try:
+        R, t, C = (
+            np.array(document[key], dtype=float) for key in ("R", "T_direction", "random_rotation_covariance_rad2")
+        )
+        SE3(R, t)
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"the rig file's reference is damaged: {error}; write it anew with `binocal recalibrate --reference`."
+        ) from None
+    if C.shape != (3, 3) or not np.isfinite(C).all():
+        raise DataError(
+            "the rig file's reference is damaged: its covariance; write it anew with `binocal recalibrate --reference`."
+        )
+    return R, t, C
+
+
+def with_reference(rig: StereoCalibration, run: NaturalRun) -> StereoCalibration:
+    """The rig as it was given, with this result as its reference."""
+    return replace(rig, extra={**rig.extra, REFERENCE: reference_document(run.calibration)})
+
+
+def load_given_rig(path: Path) -> StereoCalibration:
+    """A rig.json whole, or what any other file says of the rig.
+
+    Raises:
+        DataError: It cannot be read.
+    """
+    if rig_json.is_rig_file(path):
+        return rig_json.read_calibration(path)
+    rig = load_rig(path)
+    nothing = Covariance((), np.zeros((0, 0)))
+    return StereoCalibration(rig, nothing, ResidualSummary(np.nan, np.nan, np.nan), np.nan, ())
+
+
+def source_of_images(left: str, right: str, given: StereoCalibration) -> NaturalSource:
+    """Pairs of two globs or folders.
+
+    Raises:
+        DataError: There are none.
+    """
+    pairing = list_pairs(left, right)
+    pairs = [NaturalPair(pair.name, pair.left_path, pair.right_path) for pair in pairing.pairs]
+    return NaturalSource(pairs, given.rig, given.covariance, given.extra.get(REFERENCE))
