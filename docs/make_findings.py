@@ -54,14 +54,31 @@ EXPLANATIONS = {
     "not-converged": """
         The solver stopped at its limit of iterations. Either some parameters are so weakly determined that the cost hardly
         changes along them, or the start was wrong; in both cases the numbers where it stopped mean nothing.""",
+    "views-of-one-pose": """
+        A board held before the cameras, or a laptop before the board: the views differ by the trembling of a hand. They are
+        compared with the view in their midst, by the angle between the board's poses and by how far its corners moved, in
+        shares of the board's own size in the image. Within 12 degrees and 12 % of one view there is one pose, whatever its
+        tilt; the refusal comes if the solve found no minimum or leaves a focal length open by more than 1 %.""",
+    "board-not-found": """
+        The commonest reason is given, and how many images have it; the list above the message has every image. A board of
+        another size, of another kind, or markers of another family are looked for in the first images, and proposed.""",
+    "board-is-another": """
+        More images show something else than show the board: a grid of another size, or a chessboard whose bright squares hold
+        patterns, which is a ChArUco board. The few that fit the SPEC are then more likely wrong than the many that do not.""",
+    "board-in-one-camera-only": """
+        One camera's images show the board, the other's none. Look at the one that the message names: the board may be outside
+        that camera's view, out of focus or too dark, or the wrong folder was given.""",
+    "board-in-too-few-pairs": """
+        A pair counts if both images show the board; three are needed. The message says in how many images of each camera it
+        was found, and the commonest reason why it was not in the others.""",
     "parameters-undetermined": """
         The normal equations are singular: some combination of parameters changes nothing that the corners show. The sentence
         names the parameters that take the largest part in it.""",
     "too-few-measurements": """
         There are fewer corner coordinates than unknowns: six for each view's board pose, and the cameras' own.""",
     "too-few-views": """
-        Two views determine four intrinsics and leave nothing to check them with. The list of views that came with the message
-        says why each of the others was left out.""",
+        Two views determine four intrinsics and leave nothing to check them with. The message says which camera sees the board
+        in how many views, or why most of the others were left out; the list of views that came with it says so of each.""",
     "corners-outside-image": """
         Corners that fit the board well lie beyond the image's edge. The stated image size is not that of the images in which
         the corners were found; often width and height are exchanged.""",
@@ -106,11 +123,13 @@ EXPLANATIONS = {
         As for both cameras, with one of them: its principal point lies far from the middle, and its corners end where an
         image of a smaller size would.""",
     "cameras-exchanged": """
-        The translation says that the camera called right stands to the left. Nothing is wrong with the numbers; most stereo
-        software expects the other order.""",
+        Seen from either camera, the one called right stands to the left. Nothing is wrong with the numbers; most stereo
+        software expects the other order. Of a rig with one camera upside down or on its side this is not said: there the two
+        cameras see their order differently, and exchanging them would change nothing.""",
     "corner-orders-repaired": """
         A chessboard with an even and an odd number of squares has no upside-down, others have. The two cameras numbered the
-        corners from different ends in most views; they were put into one order.""",
+        corners from different ends in most views; they were put into one order. A camera that is mounted upside down does so,
+        and nothing is wrong then.""",
     "start-simplified": """
         The views could not carry all parameters of the closed form; the joint solve started from fewer. It finds the others
         by itself; look at their standard deviations.""",

@@ -85,7 +85,9 @@ class FakePackages:
         pairs = tuple(Pair(name, Path(f"left{name}.png"), Path(f"right{name}.png")) for name in self.detections.names)
         return Pairing(pairs, (("left99 copy.png", "a copy of left99.png"),))
 
-    def _detect_pairs(self, pairs, board, *, progress=None, should_stop=None, n_threads=None, preprocess=False):
+    def _detect_pairs(
+        self, pairs, board, *, progress=None, should_stop=None, n_threads=None, preprocess=False, least_pairs=0
+    ):
         self.calls["preprocess"] = preprocess
         if progress:
             progress(len(pairs), len(pairs))

@@ -55,7 +55,10 @@ def test_an_error_carries_what_was_dropped_before_it(fakes):
     with pytest.raises(TooFewViewsError) as caught:
         app.calibrate_images("l", "r", BOARD)
     assert caught.value.rejected == {"07": "no board found in the right image", "05": "mismatched pair"}
-    assert caught.value.__notes__ == ["ignored left99 copy.png: a copy of left99.png"]
+    assert caught.value.__notes__ == [
+        "ignored left99 copy.png: a copy of left99.png",
+        "note: left and right images differ in size",
+    ]
 
 
 def test_a_simulation_is_repeatable_and_complete(fakes, tmp_path):

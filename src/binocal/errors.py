@@ -101,15 +101,15 @@ class CalibrationError(BinocalError):
 
 
 class TooFewViewsError(CalibrationError):
-    """Fewer usable views than the geometry needs."""
+    """Fewer usable views than the geometry needs; ``why`` says what became of the others, where that is known."""
 
-    def __init__(self, found: int, needed: int, rejected: dict[str, str] | None = None) -> None:
-        super().__init__(
-            f"{found} usable view{'' if found == 1 else 's'}, {needed} needed; "
-            "add views with the board tilted 20-45 deg in different directions.",
-            rejected,
-        )
-        self.found, self.needed = found, needed
+    def __init__(
+        self, found: int, needed: int, rejected: dict[str, str] | None = None, *, why: str = "", remedy: str = ""
+    ) -> None:
+        self.remedy = remedy or "add views with the board tilted 20-45 deg in different directions"
+        plural = "" if found == 1 else "s"
+        super().__init__(f"{found} usable view{plural}, {needed} needed{why and ': '}{why}; {self.remedy}.", rejected)
+        self.found, self.needed, self.why = found, needed, why
 
 
 class TooFewPointsError(CalibrationError):

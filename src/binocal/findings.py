@@ -17,6 +17,7 @@ from binocal.errors import (
     CalibrationError,
     DataError,
     DegenerateGeometryError,
+    DetectionError,
     InconsistentViewsError,
     NotConvergedError,
     TooFewViewsError,
@@ -76,7 +77,7 @@ class FindingKind:
 UNCODED = "uncoded"
 """The code of a sentence read from a file of release 0.1, which had no codes."""
 
-_TILTS = "add views with the board tilted 20-45 deg about both axes, at different distances"
+TILTS = "add views with the board tilted 20-45 deg about both axes, at different distances"
 _TILT_THREE = "tilt the board 20-45 deg about both axes in at least 3 views"
 _SIZE_OF_CORNERS = "give the size of the image in which the corners were found"
 
@@ -138,35 +139,42 @@ _KINDS = (
         "focal-length-undetermined", _R, "The views do not determine a focal length",
         "the views do not determine the {camera} focal length (standard deviation {sigma_percent:.1f} %): "
         "the board's directions differ by only {spread_deg:.1f} deg; {remedy}.",
-        _TILTS, DegenerateGeometryError,
+        TILTS, DegenerateGeometryError,
     ),
     FindingKind(
         "principal-point-impossible", _R, "A principal point lies where no lens has it",
         "the {camera} principal point ({x_px:.0f}, {y_px:.0f}) comes out far from the middle of the {width_px}x{height_px} image, "
         "which no lens does: the boards say too little about the camera, or the images are cropped; {remedy}.",
-        f"move the board over the whole image and {_TILTS}", DegenerateGeometryError,
+        f"move the board over the whole image and {TILTS}", DegenerateGeometryError,
     ),
     FindingKind(
         "rotation-undetermined", _R, "The views do not determine the rotation between the cameras",
         "the views do not determine the rotation between the cameras (standard deviation {sigma_deg:.1f} deg); {remedy}.",
-        f"move the board over the whole of both images and {_TILTS}", DegenerateGeometryError,
+        f"move the board over the whole of both images and {TILTS}", DegenerateGeometryError,
     ),
     FindingKind(
         "translation-undetermined", _R, "The views do not determine the translation between the cameras",
         "the views do not determine the translation between the cameras (standard deviation {sigma_percent:.0f} % of the "
         "baseline); {remedy}.",
-        _TILTS, DegenerateGeometryError,
+        TILTS, DegenerateGeometryError,
     ),
     FindingKind(
         "not-converged", _R, "The joint solve did not reach a minimum",
         "the joint solve did not reach a minimum in {n_iterations} iterations; the views may leave parameters undetermined: "
         "{remedy}.",
-        _TILTS, NotConvergedError,
+        TILTS, NotConvergedError,
+    ),
+    FindingKind(
+        "views-of-one-pose", _R, "All views show the board in nearly one pose",
+        "the {n_views} views show the board in nearly one pose: all are within {turned_deg:.0f} deg and {moved_percent:.0f} % of the "
+        "board's size of view {view} ({n_same} of them the same), which leaves focal lengths and positions open; {remedy}.",
+        "from view to view turn the board by 30 deg and more, about both of its axes, and move it into the corners of the image",
+        DegenerateGeometryError,
     ),
     FindingKind(
         "parameters-undetermined", _R, "Some parameters cannot be separated from others",
         "the views leave parameters undetermined (mostly {parameters}); {remedy}.",
-        _TILTS, DegenerateGeometryError,
+        TILTS, DegenerateGeometryError,
     ),
     FindingKind(
         "too-few-measurements", _R, "Fewer measurements than unknowns",
@@ -192,10 +200,33 @@ _KINDS = (
         "{repaired_px:.3f} px instead of {noise_px:.3f} px; {remedy}.",
         "{what} the {line} number of every left corner, or detect both cameras' corners anew", InconsistentViewsError,
     ),
+    # --- images in which the board was not found
+    FindingKind(
+        "board-not-found", _R, "The board was found in no image",
+        "{board} was found in none of {n_images} images ({n_pairs} pairs): {reason} ({n_reason} of them, first {first}); {remedy}",
+        "check the board SPEC, the light and the focus", DetectionError,
+    ),
+    FindingKind(
+        "board-is-another", _R, "Most images show another board than the one given",
+        "{board} was found in {n_found} of {n_images} images, but {n_other} show {what}; {remedy}",
+        "give the board as it is printed", DetectionError,
+    ),
+    FindingKind(
+        "board-in-one-camera-only", _R, "One camera never sees the board",
+        "{board} was found in {n_found} of {n_pairs} {other} images and in none of the {n_pairs} {camera} ones: {reason} ({n_reason} of "
+        "them, first {first}); {remedy}",
+        "see that these images show the whole board, sharp and well lit", DetectionError,
+    ),
+    FindingKind(
+        "board-in-too-few-pairs", _R, "Too few pairs show the board in both images",
+        "{board} was found in {n_left} of {n_pairs} left and {n_right} of {n_pairs} right images, in both of only {n_both} pairs "
+        "({n_needed} needed); where it was not: {reason} ({n_reason} images, first {first}); {remedy}",
+        "take pairs in which both cameras see the whole board, sharp and well lit", DetectionError,
+    ),
     # --- views that no rig can be solved from
     FindingKind(
         "too-few-views", _R, "Too few usable views",
-        "{n_found} usable view{plural}, {n_needed} needed; {remedy}.",
+        "{n_found} usable view{plural}, {n_needed} needed{why}; {remedy}.",
         "add views with the board tilted 20-45 deg in different directions", CalibrationError,
     ),
     FindingKind(
@@ -264,7 +295,7 @@ _KINDS = (
     # --- a result with a weakness
     FindingKind(
         "focal-length-uncertain", _W, "A focal length is poorly known",
-        "the {camera} focal length is known only to {sigma_percent:.1f} % (one standard deviation); {remedy}.", _TILTS,
+        "the {camera} focal length is known only to {sigma_percent:.1f} % (one standard deviation); {remedy}.", TILTS,
     ),
     FindingKind(
         "image-size-doubtful", _W, "Both principal points lie short of the middle",
@@ -286,7 +317,7 @@ _KINDS = (
     ),
     FindingKind(
         "cameras-exchanged", _W, "The camera called right stands to the left",
-        "left and right look exchanged: the camera called right stands to the left of the other (T.x > 0); {remedy}.",
+        "left and right look exchanged: seen from either camera, the one called right stands to the left (T.x > 0); {remedy}.",
         "the calibration holds for the names as given, exchange --left and --right for the usual order",
     ),
     FindingKind(
@@ -455,7 +486,8 @@ def refusal(found: Finding, rejected: Mapping[str, str] | None = None) -> Binoca
     """The exception of a refusal; ``rejected`` maps views to what each of them shows."""
     kind = KINDS[found.code].error
     assert kind is not None, f"{found.code} is no refusal"
-    error = kind(found.text, dict(rejected or {})) if issubclass(kind, CalibrationError) else kind(found.text)
+    lists_views = issubclass(kind, CalibrationError | DetectionError)
+    error = kind(found.text, dict(rejected or {})) if lists_views else kind(found.text)
     error.findings = (found,)
     return error
 
@@ -464,5 +496,7 @@ def findings_of(error: BaseException) -> tuple[Finding, ...]:
     """What an exception was raised for; empty where it is not about a calibration."""
     if isinstance(error, TooFewViewsError):
         plural = "" if error.found == 1 else "s"
-        return (finding("too-few-views", n_found=error.found, plural=plural, n_needed=error.needed),)
+        why = f": {error.why}" if error.why else ""
+        figures = {"n_found": error.found, "plural": plural, "n_needed": error.needed, "why": why}
+        return (finding("too-few-views", remedy=error.remedy, **figures),)
     return error.findings if isinstance(error, BinocalError) else ()

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from binocal import acceptance
-from binocal.acceptance import rules
-from binocal.acceptance.figures import corner_spacing_px
+from binocal.acceptance import rules, variety
+from binocal.acceptance.figures import board_normals, corner_spacing_px
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.errors import BinocalError, DegenerateGeometryError, InconsistentViewsError, NotConvergedError
 from binocal.findings import KINDS, Severity, finding
+from binocal.geometry import SE3, so3
 from binocal.result import Covariance, OutlierCorner
 from binocal.simulation import sample_scene, simulate_detections, table2_rig
 
@@ -179,6 +180,55 @@ def test_a_solve_that_did_not_converge_is_no_result(sound):
     with pytest.raises(NotConvergedError, match="did not reach a minimum") as caught:
         acceptance.apply_rules(sound, is_converged=False)
     assert caught.value.findings[0].code == "not-converged"
+
+
+def held_still(calibration, turn_deg, move_px):
+    """The calibration with views that are all variations of its first one."""
+    evidence = calibration.evidence
+    rng = np.random.default_rng(1)
+    n = evidence.detections.n_views
+    first = evidence.T_left_board.R[:1]
+    R = first @ so3.exp(np.radians(turn_deg) * rng.uniform(-1, 1, (n, 3)) / np.sqrt(3))
+    left, right = (
+        np.repeat(px[:1], n, axis=0) + move_px * rng.uniform(-1, 1, (n, 1, 2))
+        for px in (evidence.detections.left_px, evidence.detections.right_px)
+    )
+    detections = replace(evidence.detections, left_px=left, right_px=right)
+    pose = SE3(R, np.repeat(evidence.T_left_board.t[:1], n, axis=0))
+    return replace(calibration, evidence=replace(evidence, detections=detections, T_left_board=pose))
+
+
+def test_variations_of_one_pose_are_named_where_they_leave_the_rig_open(sound):
+    still = held_still(sound, 5.0, 10.0)
+    with pytest.raises(DegenerateGeometryError, match="nearly one pose") as caught:
+        acceptance.apply_rules(still, is_converged=False)
+    assert caught.value.findings[0].code == "views-of-one-pose"
+    fx = sound.rig.left.parameters[0]
+    with pytest.raises(DegenerateGeometryError, match="nearly one pose"):
+        acceptance.apply_rules(with_sigma(still, left_fx=0.011 * fx), is_converged=True)
+    assert variety.find_one_pose(with_sigma(still, left_fx=0.009 * fx), is_converged=True) is None
+    assert variety.find_one_pose(held_still(sound, 40.0, 10.0), is_converged=False) is None
+    assert variety.find_one_pose(held_still(sound, 5.0, 200.0), is_converged=False) is None
+
+
+def test_advice_never_asks_for_the_tilts_that_are_there(sound):
+    assert variety.has_tilts(board_normals(sound))
+    with pytest.raises(NotConvergedError) as caught:
+        acceptance.apply_rules(sound, is_converged=False)
+    remedy = caught.value.findings[0].remedy
+    assert "tilted" not in remedy and "the tilts are there" in remedy
+    parallel = with_parallel_boards(sound)
+    with pytest.raises(NotConvergedError, match="tilted 20-45 deg"):
+        acceptance.apply_rules(
+            with_sigma(parallel, left_fx=0.0, left_fy=0.0, right_fx=0.0, right_fy=0.0), is_converged=False
+        )
+
+
+def test_tilts_about_one_axis_are_not_enough():
+    angles = np.radians([10.0, 20.0, 30.0, -25.0])
+    about_x = so3.exp(np.stack([angles, 0 * angles, 0 * angles], axis=-1))[:, :, 2]
+    about_y = so3.exp(np.stack([0 * angles, angles, 0 * angles], axis=-1))[:, :, 2]
+    assert not variety.has_tilts(about_x) and variety.has_tilts(np.concatenate([about_x, about_y]))
 
 
 def test_residuals_come_before_geometry(sound):

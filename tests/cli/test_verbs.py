@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from pathlib import Path
 
 import pytest
@@ -134,13 +135,43 @@ def test_an_error_lists_what_was_dropped(fakes, capsys):
     assert (
         error["found"] == 2
         and error["needed"] == 3
-        and error["notes"] == ["ignored left99 copy.png: a copy of left99.png"]
+        and error["notes"]
+        == [
+            "ignored left99 copy.png: a copy of left99.png",
+            "note: left and right images differ in size",
+        ]
     )
-    assert err.splitlines()[:3] == [
+    assert err.splitlines()[:4] == [
         "ignored left99 copy.png: a copy of left99.png",
         "dropped 07: no board found in the right image",
         "dropped 05: mismatched pair",
+        "note: left and right images differ in size",
     ]
+
+
+def test_equal_reasons_share_a_line(fakes, capsys):
+    def fail(*_, **__):
+        raise errors.DetectionError("no board in any image.", {f"left{i:02d}.png": "too dark" for i in range(88)})
+
+    fakes.calibrate = fail
+    main(CALIBRATE)
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dropped")]
+    assert lines == [f"dropped 88 ({', '.join(f'left{i:02d}.png' for i in range(8))} and 80 more): too dark"]
+
+
+@pytest.mark.filterwarnings("default")
+def test_numpys_warnings_are_not_the_users(fakes, capsys):
+    calibrate = fakes.calibrate
+
+    def warn(*args, **kwargs):
+        warnings.warn("invalid value encountered in log", RuntimeWarning, stacklevel=2)
+        warnings.warn("this the user should know", stacklevel=2)
+        return calibrate(*args, **kwargs)
+
+    fakes.calibrate = warn
+    main(CALIBRATE)
+    err = capsys.readouterr().err
+    assert "encountered" not in err and "warning: this the user should know" in err
 
 
 def test_a_bug_is_not_dressed_up(fakes, capsys):

@@ -66,8 +66,8 @@ def test_a_view_of_one_camera_is_kept_with_a_note_and_of_none_is_rejected(folder
     found = detect_pairs(pairs_in(folder), BOARD)
     assert found.detections.names == ("0", "1", "3")
     assert np.isnan(found.detections.left_px[1]).all() and np.isfinite(found.detections.right_px[1]).all()
-    assert "view 1 is used for the right camera only: left1.png: the image is blank" in found.notes[0]
-    assert found.rejected[0].name == "2" and found.rejected[0].reason.count("blank") == 2
+    assert found.notes[0].startswith("view 1: used for the right camera only; left: the image is blank")
+    assert found.rejected[0].name == "2" and found.rejected[0].reason.startswith("left and right: the image is blank")
 
 
 def test_one_image_of_another_size_is_rejected_and_half_of_them_are_refused(folder):
@@ -120,6 +120,63 @@ def test_marker_boards_agree_on_one_layout_and_other_families_are_named(tmp_path
         detect_pairs(pairs_in(tmp_path), parse_board("charuco:7x6:30mm:22mm:DICT_6X6_50"))
     with pytest.raises(DetectionError, match=r"did you mean charuco:7x6|fit a board 7 squares wide"):
         detect_pairs(pairs_in(tmp_path), parse_board("charuco:6x7:30mm:22mm:DICT_5X5_50"))
+
+
+def test_equal_notes_are_one_with_the_side_and_the_views(folder, images):
+    for i in range(4):
+        covered = images[1][i].image.copy()
+        x, y = images[1][i].corners_px[20].astype(int)
+        cv2.circle(covered, (int(x), int(y)), 14, 120, -1)
+        cv2.imwrite(str(folder / f"right{i}.png"), covered)
+    found = detect_pairs(pairs_in(folder), BOARD)
+    assert found.notes == ("4 views (0, 1, 2, 3): right: 41 of 42 corners seen",)
+
+
+def test_a_camera_that_never_sees_the_board_is_named(folder, images):
+    for i in range(4):
+        cv2.imwrite(str(folder / f"right{i}.png"), images[1][i].image[:, :200])
+    with pytest.raises(
+        DetectionError, match="in 4 of 4 left images and in none of the 4 right ones: no chessboard"
+    ) as caught:
+        detect_pairs(pairs_in(folder), BOARD)
+    assert caught.value.findings[0].code == "board-in-one-camera-only" and set(caught.value.reasons) == {
+        f"right{i}.png" for i in range(4)
+    }
+    for i in range(4):
+        cv2.imwrite(str(folder / f"right{i}.png"), images[1][i].image)
+        cv2.imwrite(str(folder / f"left{i}.png"), np.full((480, 640), 90 + i, np.uint8))
+    with pytest.raises(DetectionError, match="in none of the 4 left ones: the image is blank"):
+        detect_pairs(pairs_in(folder), BOARD)
+
+
+def test_too_few_pairs_are_counted_by_camera_before_anything_is_solved(folder):
+    for name in ("left0", "right1"):
+        cv2.imwrite(str(folder / f"{name}.png"), np.full((480, 640), 100, np.uint8))
+    assert detect_pairs(pairs_in(folder), BOARD).detections.n_views == 4
+    with pytest.raises(DetectionError, match="3 of 4 left and 3 of 4 right images, in both of only 2 pairs") as caught:
+        detect_pairs(pairs_in(folder), BOARD, least_pairs=3)
+    assert caught.value.findings[0].code == "board-in-too-few-pairs" and len(caught.value.reasons) == 2
+
+
+def test_images_of_one_name_in_two_folders_keep_their_reasons(tmp_path):
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for i in range(3):
+            cv2.imwrite(str(tmp_path / side / f"{i}.png"), np.full((480, 640), 100 + i + 9 * len(side), np.uint8))
+    with pytest.raises(DetectionError) as caught:
+        detect_pairs(list_pairs(str(tmp_path / "left"), str(tmp_path / "right")), BOARD)
+    assert set(caught.value.reasons) == {f"{side} {i}.png" for side in ("left", "right") for i in range(3)}
+
+
+def test_a_charuco_board_given_as_a_chessboard_is_named_even_if_some_images_pass(tmp_path, shoot, images):
+    for i, turn in enumerate(TURNS[:3]):
+        shot = shoot("charuco:8x7:30mm:15mm:DICT_4X4_50", turn, distance=1.9, size_wh=(960, 720))
+        cv2.imwrite(str(tmp_path / f"left{i}.png"), shot.image)
+        cv2.imwrite(str(tmp_path / f"right{i}.png"), shot.image // 2 + 40)
+    cv2.imwrite(str(tmp_path / "right2.png"), cv2.resize(images[1][0].image, (960, 720)))
+    with pytest.raises(DetectionError, match=r"1 of 6 images, but 5 show patterns") as caught:
+        detect_pairs(pairs_in(tmp_path), BOARD)
+    assert "give charuco:8x7:30mm:MARKER:DICT_4X4_50" in str(caught.value)
 
 
 def test_the_caller_can_stop(folder):

@@ -187,6 +187,43 @@ def test_left_and_right_exchanged_is_said_and_still_calibrated() -> None:
     np.testing.assert_allclose(diagnosis.T_right_left.t, T_RIGHT_LEFT.inverse().t, atol=3e-3)
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("is_exchanged", [False, True])
+def test_a_camera_upside_down_is_not_taken_for_exchanged_cameras(side: str, is_exchanged: bool) -> None:
+    """Each image turned by 180 degrees about its middle is what the camera sees upside down."""
+    rig = simulate(11)
+    left, right = rig.left_px, rig.right_px
+    turned = np.array([1279, 959]) - (left if side == "left" else right)
+    left, right = (turned, right) if side == "left" else (left, turned)
+    if is_exchanged:
+        left, right = right, left
+    diagnosis = diagnose_views(rig.detections(left, right))
+    assert "cameras-exchanged" not in [found.code for found in diagnosis.findings]
+    assert np.degrees(so3.angle_rad(diagnosis.T_right_left.R)) > 170
+
+
+def test_a_camera_without_corners_is_named() -> None:
+    rig = simulate(12, 6)
+    nowhere = np.full_like(rig.right_px, np.nan)
+    with pytest.raises(
+        TooFewViewsError, match="left camera sees the board in 6 of 6 views, the right one in 0"
+    ) as caught:
+        diagnose_views(rig.detections(rig.left_px, nowhere))
+    assert "both cameras see the board" in caught.value.remedy
+    with pytest.raises(TooFewViewsError, match="add views with the board tilted"):
+        diagnose_views(rig.detections(rig.left_px[:2], rig.right_px[:2]))
+
+
+def test_the_commonest_reason_of_views_left_out_is_in_the_sentence() -> None:
+    rig = simulate(13, 6)
+    left = rig.left_px.copy()
+    left[1:5] = left[1:5, :1]
+    with pytest.raises(
+        TooFewViewsError, match="4 of 6 views were left out, 4 of them as view 1: the left corners all lie"
+    ):
+        diagnose_views(rig.detections(left))
+
+
 def _by_columns(px: np.ndarray) -> np.ndarray:
     return px.reshape(-1, 8, 11, 2).swapaxes(1, 2).reshape(-1, 88, 2)
 

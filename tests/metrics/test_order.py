@@ -49,6 +49,15 @@ def test_a_wrong_pair_is_not_explained_away():
     np.testing.assert_array_equal(ordered.detections.right_px, right)
 
 
+def test_what_only_a_mirror_explains_is_not_repaired():
+    rig, detections = scene()
+    rows = np.arange(88).reshape(8, 11)
+    right = detections.right_px[:, rows[:, ::-1].ravel()]
+    ordered = order_corners(rig, replace(detections, right_px=right))
+    assert ordered.notes == ()
+    np.testing.assert_array_equal(ordered.detections.right_px, right)
+
+
 def test_a_view_without_enough_corners_has_no_pose():
     rig, detections = scene()
     left, right = detections.left_px.copy(), detections.right_px.copy()

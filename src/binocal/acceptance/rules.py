@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from binocal.acceptance import variety
 from binocal.acceptance.figures import (
     board_normals,
     common_factor,
@@ -18,7 +19,7 @@ from binocal.acceptance.figures import (
 )
 from binocal.acceptance.views import describe_views
 from binocal.cameras.ray_coverage import pixels_without_ray
-from binocal.findings import KINDS, Finding, Severity, finding, refusal
+from binocal.findings import KINDS, TILTS, Finding, Severity, finding, refusal
 from binocal.result import StereoCalibration
 from binocal.solvers import robust
 
@@ -45,8 +46,10 @@ class Rule:
     limits: tuple[Limit, ...]
 
     def findings(self, calibration: StereoCalibration) -> list[Finding]:
-        """What the check has to say."""
-        return [finding(self.code, **figures) for figures in self.check(calibration)]
+        """What the check has to say; advice that asks for tilts asks for what else is missing where they are there."""
+        found = list(self.check(calibration))
+        remedy = variety.advise(calibration) if found and KINDS[self.code].remedy == TILTS else None
+        return [finding(self.code, remedy=remedy, **figures) for figures in found]
 
 
 NOISE_SHARE = Limit(
@@ -269,12 +272,15 @@ def apply_rules(calibration: StereoCalibration, *, is_converged: bool) -> Stereo
         NotConvergedError: The solver did not reach a minimum.
     """
     warnings: list[Finding] = []
+    if (one_pose := variety.find_one_pose(calibration, is_converged=is_converged)) is not None:
+        raise refusal(one_pose, describe_views(calibration))
     for rule in (*FIT, *OBSERVABILITY):
         for found in rule.findings(calibration):
             if KINDS[found.code].severity is Severity.REFUSAL:
                 raise refusal(found, describe_views(calibration))
             warnings.append(found)
     if not is_converged:
-        raise refusal(finding("not-converged", n_iterations=calibration.n_iterations), describe_views(calibration))
+        stuck = finding("not-converged", remedy=variety.advise(calibration), n_iterations=calibration.n_iterations)
+        raise refusal(stuck, describe_views(calibration))
     after = findings_of_rules(calibration, OUTLIERS)
     return replace(calibration, findings=(*warnings, *calibration.findings, *after))

@@ -12,7 +12,7 @@ import numpy as np
 
 from binocal.app.corners import explained, find_corners
 from binocal.boards import Board
-from binocal.calibrators.base import CalibrationRequest
+from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.formats import rig_json
@@ -60,7 +60,9 @@ def calibrate_images(
     with ThreadPoolExecutor(1) as aside:
         # What the solver needs is loaded while the first images are, of which one core is enough.
         loading = aside.submit(_load_calibrator, calibrator)
-        found = find_corners(left, right, board, preprocess, request.progress, request.should_stop)
+        found = find_corners(
+            left, right, board, preprocess, request.progress, request.should_stop, least_pairs=MIN_VIEWS
+        )
         calibrate = loading.result()
     detections = replace(found.detections, board_spec=rig_json.format_board(board))
     if measured_board is not None:
@@ -72,7 +74,7 @@ def calibrate_images(
         "preprocess": preprocess,
         "input_sha256": dict(found.input_sha256),
     }
-    with explained(found.ignored, found.rejected):
+    with explained(found.ignored, found.rejected, found.notes):
         calibration = calibrate(detections, request, calibrator=calibrator, inputs=inputs)
     solved = time.perf_counter()
     calibration = replace(calibration, rejected=found.rejected + calibration.rejected)

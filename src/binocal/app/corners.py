@@ -31,8 +31,9 @@ def find_corners(
     preprocess: bool,
     progress: ProgressCallback | None,
     should_stop: ShouldStop | None,
+    least_pairs: int = 0,
 ) -> FoundCorners:
-    """The corners of all pairs that two globs or folders name.
+    """The corners of all pairs that two globs or folders name, at least ``least_pairs`` of which both cameras must see.
 
     Raises:
         DataError: The images cannot be used; the error carries what was ignored before.
@@ -50,6 +51,7 @@ def find_corners(
             progress=stage_of(progress, "finding corners"),
             should_stop=should_stop,
             preprocess=preprocess,
+            least_pairs=least_pairs,
         )
     return FoundCorners(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
 
@@ -71,8 +73,10 @@ def detect_corners(
 
 
 @contextlib.contextmanager
-def explained(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedView]) -> Iterator[None]:
-    """An error that leaves the block also carries what was ignored and rejected before it."""
+def explained(
+    ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedView], notes: Sequence[str] = ()
+) -> Iterator[None]:
+    """An error that leaves the block also carries what was ignored, rejected and noted before it."""
     try:
         yield
     except BinocalError as error:
@@ -80,4 +84,6 @@ def explained(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedVie
             error.rejected = {view.name: view.reason for view in rejected} | error.rejected
         for path, reason in ignored:
             error.add_note(f"ignored {path}: {reason}")
+        for note in notes:
+            error.add_note(f"note: {note}")
         raise

@@ -39,6 +39,16 @@ class StereoRig:
 
     @property
     def is_swapped(self) -> bool:
-        """True when the camera called right stands to the left of the other; a vertical rig has no such order."""
-        t = self.T_right_left.t
-        return bool(t[0] > 0) if abs(t[0]) >= abs(t[1]) else False
+        """True when the camera called right stands to the left of the other: see :func:`are_exchanged`."""
+        return are_exchanged(self.T_right_left)
+
+
+def are_exchanged(T_right_left: SE3) -> bool:
+    """Whether each camera, as it is held, sees the one called left to its right, or the one called right to its left.
+
+    A vertical rig has no such order, nor has one with a camera on its side or upside down, where the two see it otherwise:
+    there, exchanging left and right would change nothing.
+    """
+    left_from_right, right_from_left = T_right_left.t, T_right_left.inverse().t
+    is_horizontal = all(abs(t[0]) >= abs(t[1]) for t in (left_from_right, right_from_left))
+    return bool(is_horizontal and left_from_right[0] > 0 > right_from_left[0])

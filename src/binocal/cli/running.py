@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from binocal.cli.exits import FAILED, FINE, INTERRUPT_TEXT, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
+from binocal.cli.grouping import group_lines
 from binocal.cli.streams import discard, finish_stdout, print_document, say
 from binocal.errors import (
     BinocalError,
@@ -106,10 +107,13 @@ def _report(code: str, message: str, wants_json: bool, figures: dict[str, Any] |
     from binocal.formats.json_document import dump_json, jsonable
 
     figures = figures or {}
-    for line in figures.get("notes", []):
-        say(one_line(line))
-    for name, reason in {**figures.get("reasons", {}), **figures.get("rejected", {})}.items():
-        say(f"dropped {name}: {one_line(reason)}")
+    notes = [one_line(line) for line in figures.get("notes", [])]
+    parts = [line.removeprefix("ignored ").partition(": ") for line in notes if line.startswith("ignored ")]
+    ignored = [(path, reason) for path, _, reason in parts]
+    dropped = {**figures.get("reasons", {}), **figures.get("rejected", {})}
+    lines = group_lines("ignored", ignored) + group_lines("dropped", dropped.items())
+    for line in (*lines, *(line for line in notes if not line.startswith("ignored "))):
+        say(line)
     say(f"binocal: {one_line(message)}")
     if wants_json:
         document = {"error": {"code": code, "message": one_line(message)} | figures}

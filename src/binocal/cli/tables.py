@@ -12,6 +12,7 @@ import numpy as np
 from binocal.app import CalibrationRun, DemoCase, ImageEvaluation, TrainedAgent, TruthEvaluation
 from binocal.cameras import camera_model
 from binocal.cli.exits import one_line
+from binocal.cli.grouping import group_lines, list_names
 from binocal.cli.streams import say
 from binocal.metrics.pose import ParameterError
 from binocal.result import RejectedView, StereoCalibration
@@ -22,17 +23,13 @@ CONVENTION = (
     "then yaw about y (down), then roll about z (forward)."
 )
 SURE_SIGMAS = 3.0  # of a bow or stretch, to be shown
-MAX_NAMES = 8  # names of dropped views in one line of the summary; stderr has all of them
 
 
 def list_left_out(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedView], notes: Sequence[str]) -> None:
-    """Everything that was left out, one line each, on stderr."""
-    for path, reason in ignored:
-        say(f"ignored {path}: {one_line(reason)}")
-    for view in rejected:
-        say(f"dropped {view.name}: {one_line(view.reason)}")
-    for note in notes:
-        say(f"note: {one_line(note)}")
+    """Everything that was left out, one line for each reason, on stderr."""
+    lines = group_lines("ignored", ignored) + group_lines("dropped", [(view.name, view.reason) for view in rejected])
+    for line in (*lines, *(f"note: {one_line(note)}" for note in notes)):
+        say(line)
 
 
 def calibration_text(
@@ -264,8 +261,7 @@ def _rejected_lines(rejected: Sequence[RejectedView], n_used: int) -> list[str]:
     for view in rejected:
         by_reason[one_line(view.reason)].append(view.name)
     for reason, names in by_reason.items():
-        shown = ", ".join(names[:MAX_NAMES]) + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
-        lines.append(f"         {shown}: {reason}")
+        lines.append(f"         {list_names(names)}: {reason}")
     return lines
 
 

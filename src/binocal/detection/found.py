@@ -28,6 +28,8 @@ class FoundBoard(ArrayValue):
     note: str = ""
     size_seen: tuple[int, int] | None = None
     cross_covariance_px2: Float[ndarray, "n 2 2"] | None = None
+    is_patterned: bool = False
+    """Whether a chessboard was not taken for the board because its bright squares hold patterns, as a ChArUco board's do."""
 
     def __post_init__(self) -> None:
         for name in ("points_px", "covariance_px2", "cross_covariance_px2"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,6 +12,7 @@ import cv2
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.boards.board import format_length
 from binocal.detection.chessboard import find_chessboard_size
 from binocal.detection.detect import detect, stretch, stretch_8_bit
 from binocal.detection.found import FoundBoard
@@ -28,15 +30,33 @@ _FAMILIES = (
 )
 
 
-def hint_from_sizes(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> tuple[str, int]:
-    """A hint from grids of another size that were seen instead of the board's, and in how many images."""
+def hint_from_images(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> tuple[str, str, int]:
+    """What was seen instead of the board, a hint, and in how many images: a grid of another size, or a ChArUco board."""
     sizes = Counter(result.size_seen for _, result in found if result.size_seen is not None)
-    if not sizes:
-        return "", 0
-    size, count = sizes.most_common(1)[0]
+    patterned = [path for path, result in found if result.is_patterned]
+    size, count = sizes.most_common(1)[0] if sizes else (None, 0)
+    if patterned and len(patterned) >= count:
+        return "patterns in their bright squares", _hint_of_markers(patterned, board), len(patterned)
+    if size is None:
+        return "", "", 0
     example = next(path for path, result in found if result.size_seen == size)
     text = f"found a {size[0]}x{size[1]} board in {example.name}: did you mean {board.kind}:{size[0]}x{size[1]}?"
-    return text, count
+    return "a grid of another size", text, count
+
+
+def _hint_of_markers(paths: Sequence[Path], board: Board) -> str:
+    """The ChArUco board that a patterned chessboard is, as far as its markers tell."""
+    squares = f"{board.columns + 1}x{board.rows + 1}"
+    side = format_length(board.pitch_m) if board.is_metric else "SQUARE"
+    for path in paths[:MOST_TRIED]:
+        with contextlib.suppress(FormatError):
+            family, n_markers = _commonest_family(read_grey_image(path), board)
+            if family:
+                return (
+                    f"{path.name} shows {n_markers} markers of the family {family}: the board is a ChArUco board of {squares} squares, "
+                    f"give charuco:{squares}:{side}:MARKER:{family}_50 (or _100, _250, _1000)"
+                )
+    return f"the board looks like a ChArUco board of {squares} squares, give charuco:{squares}:{side}:MARKER:DICTIONARY"
 
 
 def hint_by_trying(paths: Sequence[Path], board: Board) -> str:
@@ -85,11 +105,19 @@ def _try_boards(path: Path, grey: ndarray, board: Board) -> str:
 
 def _try_families(path: Path, grey: ndarray, board: Board) -> str:
     """Markers of other families than the board's."""
+    family, n_markers = _commonest_family(grey, board)
+    if not family:
+        return ""
+    return f"{path.name} shows {n_markers} markers of the family {family}: is the board or its dictionary another one?"
+
+
+def _commonest_family(grey: ndarray, board: Board) -> tuple[str, int]:
+    """The family, other than the board's, of which most markers are seen, and how many; none where they may be chance."""
     from binocal.detection.finding.markers import find_markers, to_8_bit
 
     stretched, problem = stretch(grey)
     if problem:
-        return ""
+        return "", 0
     best: tuple[int, str] = (3, "")  # fewer than 4 markers are chance
     for family in _FAMILIES:
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, family))
@@ -99,7 +127,4 @@ def _try_families(path: Path, grey: ndarray, board: Board) -> str:
         ids, _ = find_markers(to_8_bit(stretched), dictionary)
         if len(ids) > best[0]:
             best = len(ids), family
-    if not best[1]:
-        return ""
-    name = best[1].removesuffix("_1000")
-    return f"{path.name} shows {best[0]} markers of the family {name}: is the board or its dictionary another one?"
+    return best[1].removesuffix("_1000"), best[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -18,8 +18,8 @@ from binocal.boards import Board
 from binocal.datasets.folder import ImagePair, Pairing
 from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
-from binocal.detection.hints import hint_by_trying, hint_from_sizes
 from binocal.detection.preprocessing import strengthen_edges
+from binocal.detection.unseen_boards import LookedAt, require_board
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
 from binocal.evidence import Detections
 from binocal.images.opencv_settings import single_threaded_opencv
@@ -28,7 +28,7 @@ from binocal.result import RejectedView
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's images; with fewer it is not clear which size the camera has
 MIN_PAIRS = 3  # of a calibration: with fewer, images that are not read of files with several are what is missing
-MIN_SHARE_OF_HINT = 0.2  # of the images must agree on another size before it is proposed
+MOST_NAMES = 6  # of views in one note
 _SIDES = ("left", "right")
 
 
@@ -64,8 +64,9 @@ def detect_pairs(
     progress: Callable[[int, int], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
     n_threads: int | None = None,
+    least_pairs: int = 0,
 ) -> PairDetections:
-    """The board in every image of every pair.
+    """The board in every image of every pair; in both images of ``least_pairs`` pairs, if so many are given.
 
     A view that one camera saw is kept, with NaN for the other camera. An unreadable image, or one of another size
     than the rest of its camera's, rejects its view. ``progress`` is called with images done and images in all,
@@ -73,8 +74,9 @@ def detect_pairs(
     already fill ``n_threads`` threads (:func:`binocal.threads.n_threads` of them by default).
 
     Raises:
-        DetectionError: The board was found in no image, or most images show a board of another size; with a hint if
-        there is one. DataError: There is no pair, no readable image, or a camera's images have no common size.
+        DetectionError: The board was found in no image, in none of one camera, in too few pairs, or most images show
+        another board; with a hint if there is one.
+        DataError: There is no pair, no readable image, or a camera's images have no common size.
         CancelledError: ``should_stop`` returned True.
     """
     pairs = tuple(pairs.pairs if isinstance(pairs, Pairing) else pairs)
@@ -90,7 +92,8 @@ def detect_pairs(
     if not any(image.found for image in seen):
         problems = {image.path.name: image.problem for image in seen}
         raise DataError(f"none of the {len(seen)} images can be read; {next(iter(problems.values()))}")
-    _require_board(seen, pairs, board)
+    looked = [LookedAt(_SIDES[i % 2], image.path, image.found, image.problem) for i, image in enumerate(seen)]
+    require_board(looked, board, least_pairs)
     sizes = {side: _common_size(side, images) for side, images in sides.items()}
     kept, rejected, notes = _sort_views(pairs, sides, sizes)
     notes = [*pages, *notes]
@@ -178,28 +181,6 @@ def _agree_on_layout(
     return seen
 
 
-def _require_board(seen: Sequence[_Seen], pairs: Sequence[ImagePair], board: Board) -> None:
-    """Raise where the board was found nowhere, or where more images show a grid of one other size."""
-    looked = [(image.path, image.found) for image in seen if image.found is not None]
-    n_found = sum(found.is_found for _, found in looked)
-    hint, n_other = hint_from_sizes(looked, board)
-    if n_found and n_other <= n_found:
-        return
-    spec = f"{board.kind}:{board.columns}x{board.rows}"
-    reasons = {path.name: found.reason for path, found in looked if found.reason}
-    reasons |= {image.path.name: image.problem for image in seen if image.problem}
-    if n_found:
-        text = f"{spec} was found in {n_found} of {len(seen)} images, but {n_other} show a grid of another size"
-    else:
-        common, count = Counter(reasons.values()).most_common(1)[0]
-        share = f" ({count} of them)" if count < len(reasons) else ""
-        text = f"{spec} was found in none of {len(seen)} images ({len(pairs)} pairs): {common}{share}"
-        if n_other < MIN_SHARE_OF_HINT * len(looked):
-            hint = hint_by_trying([path for path, _ in looked], board)
-    remedy = hint or ("" if ";" in text else "check the board SPEC, the light and the focus.")
-    raise DetectionError(f"{text}; {remedy}" if remedy else f"{text}.", reasons)
-
-
 def _common_size(side: str, images: Sequence[_Seen]) -> tuple[int, int]:
     """The size of a camera's images."""
     sizes = Counter(image.size_wh for image in images if image.size_wh is not None)
@@ -221,9 +202,10 @@ def _sort_views(
     pairs: Sequence[ImagePair], sides: dict[str, list[_Seen]], sizes: dict[str, tuple[int, int]]
 ) -> tuple[list[int], list[RejectedView], list[str]]:
     """Indices of the views to keep, the rejected ones, and notes on the kept ones."""
-    kept, rejected, notes = [], [], []
+    kept, rejected = [], []
+    remarks: dict[str, list[str]] = defaultdict(list)
     for i, pair in enumerate(pairs):
-        unusable, unseen = [], []
+        unusable, unseen = [], {}
         for side in _SIDES:
             image = sides[side][i]
             if image.problem or image.found is None:
@@ -233,22 +215,31 @@ def _sort_views(
                 expected = "{}x{}".format(*sizes[side])
                 unusable.append(f"{image.path.name} is {width}x{height}, the other {side} images are {expected}")
             elif image.found.reason:
-                unseen.append((side, f"{image.path.name}: {image.found.reason}"))
+                unseen[side] = image.found.reason
         if unusable:
             rejected.append(RejectedView(pair.name, "; ".join(unusable)))
         elif len(unseen) == len(_SIDES):
-            rejected.append(RejectedView(pair.name, "; ".join(text for _, text in unseen)))
+            same = len(set(unseen.values())) == 1
+            texts = (
+                [f"left and right: {unseen['left']}"] if same else [f"{side}: {why}" for side, why in unseen.items()]
+            )
+            rejected.append(RejectedView(pair.name, "; ".join(texts)))
         else:
             kept.append(i)
-            for side, text in unseen:
-                other = _SIDES[side == "left"]
-                notes.append(f"view {pair.name} is used for the {other} camera only: {text}")
-            notes += [
-                f"{sides[side][i].path.name}: {found.note}"
-                for side in _SIDES
-                if (found := sides[side][i].found) is not None and found.note
-            ]
-    return kept, rejected, notes
+            for side, why in unseen.items():
+                remarks[f"used for the {_SIDES[side == 'left']} camera only; {side}: {why}"].append(pair.name)
+            for side in _SIDES:
+                if (found := sides[side][i].found) is not None and found.note:
+                    remarks[f"{side}: {found.note}"].append(pair.name)
+    return kept, rejected, [f"{_list_views(names)}: {remark}" for remark, names in remarks.items()]
+
+
+def _list_views(names: Sequence[str]) -> str:
+    """The views, the first of them by name."""
+    if len(names) == 1:
+        return f"view {names[0]}"
+    more = ", ..." if len(names) > MOST_NAMES else ""
+    return f"{len(names)} views ({', '.join(names[:MOST_NAMES])}{more})"
 
 
 def _page_notes(sides: dict[str, list[_Seen]]) -> list[str]:

@@ -8,16 +8,19 @@ covariances), never with one kind of rig.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.cameras.rig import are_exchanged
 from binocal.errors import TooFewViewsError
 from binocal.evidence import Detections
 from binocal.findings import Finding, finding
 from binocal.geometry import SE3
 from binocal.geometry.homography import (
+    MIN_POINTS,
     UNFIT,
     HomographyFit,
     fit_homographies,
@@ -153,8 +156,25 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
 
 
 def _require(found: int, detections: Detections, reasons: dict[int, Finding]) -> None:
-    if found < MIN_VIEWS:
-        raise TooFewViewsError(found, MIN_VIEWS, {detections.names[i]: reasons[i].text for i in sorted(reasons)})
+    """Raise TooFewViewsError unless enough views are left: the camera that sees no board is named, else why views were left out."""
+    if found >= MIN_VIEWS:
+        return
+    rejected = {detections.names[i]: reasons[i].text for i in sorted(reasons)}
+    is_seen = [seen.sum(axis=1) >= MIN_POINTS for seen in (detections.left_is_seen, detections.right_is_seen)]
+    n_left, n_right, n_both = (int(s.sum()) for s in (*is_seen, is_seen[0] & is_seen[1]))
+    why, remedy = "", ""
+    if n_both < MIN_VIEWS <= detections.n_views:
+        why = f"the left camera sees the board in {n_left} of {detections.n_views} views, the right one in {n_right}, both in {n_both}"
+        remedy = "add views in which both cameras see the board"
+    elif rejected:
+        code, n_same = Counter(found.code for found in reasons.values()).most_common(1)[0]
+        view, first = next((i, found) for i, found in sorted(reasons.items()) if found.code == code)
+        why = (
+            f"{len(rejected)} of {detections.n_views} views were left out, {n_same} of them as view {detections.names[view]}: "
+            f"{first.text.partition('; ')[0]}"
+        )
+        remedy = "mend these views, or add others"
+    raise TooFewViewsError(found, MIN_VIEWS, rejected, why=why, remedy=remedy)
 
 
 def _without(fit: HomographyFit, dropped: Bool[ndarray, "views"]) -> HomographyFit:
@@ -204,9 +224,8 @@ def _share_focal(
 
 def _rig_findings(consensus: Consensus, cameras: list[InitialCamera], notes: list[str]) -> list[Finding]:
     """What there is to say about the rig as a whole."""
-    t = consensus.T_right_left.t
     found = []
-    if abs(t[0]) >= abs(t[1]) and t[0] > 0:
+    if are_exchanged(consensus.T_right_left):
         found.append(finding("cameras-exchanged"))
     n_repaired = sum(bool(note) for note in notes)
     if n_repaired > MOST * consensus.agrees.sum() and n_repaired > 1:

@@ -1,7 +1,8 @@
 """Board poses of held-out views, with the two cameras' corner orders brought into agreement.
 
-A symmetric board looks the same from its other end, and a finder may number its corners from either: then left and
-right corners of one view do not match although every corner is right. The rig, which is known here, decides.
+A symmetric board looks the same when it is turned, and a finder may number its corners from either end: then left and
+right corners of one view do not match although every corner is right. The rig, which is known here, decides. Mirrored
+orders are not tried: no camera sees a print from behind, and what only a mirror explains has another cause.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class OrderedViews:
 
 
 def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
-    """Bring the right corners of each view into the order of the left ones, as the board's symmetries allow.
+    """Bring the right corners of each view into the order of the left ones, as turns of the board onto itself allow.
 
     A view's corners are reordered only where that makes its typical (median) residual at least 5 times smaller; a note
     says so.
@@ -48,7 +49,8 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     is_found = best.is_found.copy()
     suspects = np.flatnonzero(residual_px > SUSPECT_PX)
     limit_px = residual_px / CLEAR_FACTOR
-    for k in range(1, len(symmetries.names) if len(suspects) else 1):
+    turns = [k for k in range(1, len(symmetries.names)) if symmetries.motions.R[k, 2, 2] > 0]
+    for k in turns if len(suspects) else ():
         views = detections.select(suspects)
         moved = views.reorder("right", {view: symmetries.order[k] for view in range(views.n_views)})
         poses = estimate_board_poses(rig, moved)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
@@ -92,7 +92,7 @@ def _find_contradiction(board: Board, candidate: Candidate, rivals: list[Lattice
         return too_large(board, None)
     if are_squares_patterned(level.saddles.smooth, lattice.points_px, lattice.is_dark_first):
         text = "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
-        return not_found(board.n_points, text)
+        return replace(not_found(board.n_points, text), is_patterned=True)
     return None
 
 

@@ -1,0 +1,41 @@
+"""Lines for what was left out: one for each reason, not one for each view."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+
+from binocal.cli.exits import one_line
+
+MOST_NAMES = 8  # in one line; --json has all
+MOST_LINES = 16  # beyond it, reasons that differ in their numbers alone share a line
+
+
+def group_lines(verb: str, reasons: Iterable[tuple[str, str]]) -> list[str]:
+    """``dropped 03: why`` for one name, ``dropped 12 (03, 04, ...): why`` for more, in the order in which reasons first come."""
+    given = [(name, one_line(reason)) for name, reason in reasons]
+    groups = _grouped(given, lambda reason: reason)
+    if len(groups) > MOST_LINES:
+        groups = _grouped(given, lambda reason: re.sub(r"\d+(\.\d+)?", "#", reason))
+    return [_line(verb, members) for members in groups]
+
+
+def list_names(names: list[str]) -> str:
+    """The first names, and how many more there are."""
+    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+
+
+def _grouped(given: list[tuple[str, str]], key: Callable[[str], str]) -> list[list[tuple[str, str]]]:
+    groups: dict[str, list[tuple[str, str]]] = defaultdict(list)
+    for name, reason in given:
+        groups[key(reason)].append((name, reason))
+    return list(groups.values())
+
+
+def _line(verb: str, members: list[tuple[str, str]]) -> str:
+    name, reason = members[0]
+    if len(members) == 1:
+        return f"{verb} {name}: {reason}"
+    such_as = "" if len({text for _, text in members}) == 1 else "such as "
+    return f"{verb} {len(members)} ({list_names([name for name, _ in members])}): {such_as}{reason}"

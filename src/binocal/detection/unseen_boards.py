@@ -1,0 +1,99 @@
+"""What to say of a set of images in most of which the board was not found: the likeliest cause first."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from binocal.boards import Board
+from binocal.detection.found import FoundBoard
+from binocal.detection.hints import hint_by_trying, hint_from_images
+from binocal.findings import finding, refusal
+
+MIN_SHARE_OF_HINT = 0.2  # of the images must agree on another board before it is proposed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LookedAt:
+    """One image that was looked at: what was found, or why it could not be read."""
+
+    side: str
+    path: Path
+    found: FoundBoard | None
+    problem: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Why the board was not found; empty where it was."""
+        return self.problem if self.found is None else self.found.reason
+
+
+def require_board(images: Sequence[LookedAt], board: Board, least_pairs: int) -> None:
+    """Refuse images that show no board, another one, none in one camera, or too few in both; they come pair by pair.
+
+    Raises:
+        DetectionError: So it is; ``reasons`` says why for each image.
+    """
+    looked = [(image.path, image.found) for image in images if image.found is not None]
+    left, right = images[0::2], images[1::2]
+    n_seen = {"left": _count(left), "right": _count(right)}
+    n_found, n_pairs = n_seen["left"] + n_seen["right"], len(left)
+    n_both = sum(not (a.reason or b.reason) for a, b in zip(left, right, strict=True))
+    what, hint, n_other = hint_from_images(looked, board)
+    spec = f"{board.kind}:{board.columns}x{board.rows}"
+    common: dict[str, Any] = {"board": spec, "n_images": len(images), "n_pairs": n_pairs}
+    if not n_found:
+        if n_other < MIN_SHARE_OF_HINT * len(looked):
+            hint = hint_by_trying([path for path, _ in looked], board)
+        _refuse("board-not-found", images, hint, **common)
+    if n_other > n_found:
+        raise refusal(
+            finding("board-is-another", remedy=hint, n_found=n_found, n_other=n_other, what=what, **common),
+            _reasons(images),
+        )
+    for blind, other, unseen in (("left", "right", left), ("right", "left", right)):
+        if not n_seen[blind] and any(image.found for image in unseen):
+            _refuse("board-in-one-camera-only", unseen, "", camera=blind, other=other, n_found=n_seen[other], **common)
+    if n_both < least_pairs <= n_pairs:
+        counts = {"n_left": n_seen["left"], "n_right": n_seen["right"], "n_both": n_both, "n_needed": least_pairs}
+        _refuse(
+            "board-in-too-few-pairs",
+            images,
+            hint if n_other >= MIN_SHARE_OF_HINT * len(looked) else "",
+            **counts,
+            **common,
+        )
+
+
+def _refuse(code: str, images: Sequence[LookedAt], hint: str, **figures: Any) -> None:
+    """Raises DetectionError of that code: the commonest reason, in how many images, and what to do."""
+    why = Counter(image.reason for image in images if image.reason)
+    reason, n_reason = why.most_common(1)[0]
+    first = next(image for image in images if image.reason == reason)
+    text, _, advice = reason.partition("; ")
+    found = finding(
+        code,
+        remedy=hint or advice or None,
+        reason=text,
+        n_reason=n_reason,
+        first=first.path.name if first.side in first.path.name else f"{first.side} {first.path.name}",
+        **figures,
+    )
+    raise refusal(found, _reasons(images))
+
+
+def _count(images: Sequence[LookedAt]) -> int:
+    return sum(not image.reason for image in images)
+
+
+def _reasons(images: Sequence[LookedAt]) -> Mapping[str, str]:
+    """Why, by the image's name; with its side where both cameras' files have the same names."""
+    names = Counter(image.path.name for image in images)
+    return {
+        image.path.name if names[image.path.name] == 1 else f"{image.side} {image.path.name}": image.reason
+        for image in images
+        if image.reason
+    }
