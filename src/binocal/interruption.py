@@ -73,7 +73,12 @@ def end_process_on_signals(end: Callable[[], None]) -> None:
     Those that the process was started to ignore (``nohup``) stay ignored.
     """
     _process.end = end
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+    for number in ending_signals():
+        if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _process.on_signal)
+
+
+def ending_signals() -> list[signal.Signals]:
+    """Those of the system's signals that ask a process to end."""
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    return [getattr(signal, name) for name in names if hasattr(signal, name)]

@@ -158,3 +158,9 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
         timeout=60,
     )
     assert done.returncode == 1 and b"cannot be written" in one_line(done.stderr) and os.listdir(tmp_path) == []
+
+
+def test_an_interrupt_when_all_is_done_changes_nothing(folder):
+    code = "import os, signal, sys; from binocal.cli import main; code = main(); os.kill(os.getpid(), signal.SIGINT); sys.exit(code)"
+    done = subprocess.run([sys.executable, "-c", code, "--version"], cwd=folder, capture_output=True, timeout=60)
+    assert done.returncode == 0 and done.stderr == b"" and done.stdout.startswith(b"binocal ")

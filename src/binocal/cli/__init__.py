@@ -17,13 +17,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if arguments is None:  # a process of its own: whoever calls this as a function keeps his handlers
         _end_while_loading()
-    from binocal.cli.process import end_on_signals, settle_process
+    from binocal.cli.process import end_on_signals, ignore_signals, settle_process
     from binocal.cli.running import run
 
     if arguments is None:
         end_on_signals("--json" in sys.argv)
     settle_process()
-    return run(arguments)
+    code = run(arguments)
+    if arguments is None:
+        ignore_signals()
+    return code
 
 
 def _end_while_loading() -> None:

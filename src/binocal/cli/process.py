@@ -6,10 +6,11 @@ import atexit
 import contextlib
 import gc
 import os
+import signal
 
 from binocal.cli.exits import INTERRUPT_TEXT, INTERRUPTED
 from binocal.cli.streams import is_printing, settle_streams
-from binocal.interruption import end_process_on_signals
+from binocal.interruption import end_process_on_signals, ending_signals
 
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # glibc's <malloc.h>
 LARGEST_KEPT_BYTES = 32 << 20  # the most that glibc allows
@@ -36,6 +37,12 @@ def settle_process() -> None:
 def end_on_signals(wants_json: bool) -> None:
     """Ctrl-C, SIGTERM and SIGHUP end this process at once, with a line and the exit code for it."""
     end_process_on_signals(lambda: _end(wants_json))
+
+
+def ignore_signals() -> None:
+    """All is done and said: while Python ends, a signal would only change the exit code."""
+    for number in ending_signals():
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _end(wants_json: bool) -> None:
