@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from binocal import kernels
-from binocal.kernels import _kernel, corner_fits, images
+from binocal.kernels import _kernel, corner_fits, image_lens, images
 
 ROUNDS = int(os.environ.get("BINOCAL_FUZZ_ROUNDS", "300"))
 SEED = int(os.environ.get("BINOCAL_FUZZ_SEED", "0"))
@@ -223,7 +223,18 @@ def grow_groups(f: Fuzz) -> None:
 def fit_corners(f: Fuzz) -> None:
     n = f.size(9)
     image = f.image((np.uint8, np.uint16, np.float32))
-    corner_fits.fit_corners(image, f.places(n), np.abs(f.floats(n, scale=8.0)), np.abs(f.floats(n, scale=8.0)))
+    reach, strip = np.abs(f.floats(n, scale=8.0)), np.abs(f.floats(n, scale=8.0))
+    board = corner_fits.BoardPlaces(f.floats(n, 2), abs(float(f.floats(1)[0]))) if f.rng.random() < 0.5 else None
+    corner_fits.fit_corners(image, f.places(n), reach, strip, board=board)
+
+
+def fit_image_lens(f: Fuzz) -> None:
+    n, kind = f.size(20), f.rng.random(2) < 0.5
+    options = image_lens.LensFitOptions(abs(float(f.floats(1)[0])), bool(kind[0]), bool(kind[1]))
+    points = np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2)[:n].astype(float)
+    board = points if f.rng.random() < 0.5 else f.floats(n, 2)
+    image = 40 * points + 3 * f.floats(len(points), 2) if f.rng.random() < 0.5 else f.places(n)
+    image_lens.fit_image_lens(board, image, (640, 480), options, places_xy=f.floats(f.size(5), 2))
 
 
 def pool_corners(f: Fuzz) -> None:
@@ -231,13 +242,13 @@ def pool_corners(f: Fuzz) -> None:
     fits = corner_fits.CornerFits(
         f.floats(n, corner_fits.CORNER_FIT.itemsize // 8, scale=5.0).view(corner_fits.CORNER_FIT)[:, 0]
     )
-    corner_fits.pool_corners(fits, f.floats(n, 2) if f.rng.random() < 0.5 else None)
+    corner_fits.pool_corners(fits)
 
 
 FUNCTIONS = [
     accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
     compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
-    follow_edges, link_corners, grow_groups, fit_corners, pool_corners,
+    follow_edges, link_corners, grow_groups, fit_corners, fit_image_lens, pool_corners,
 ]  # fmt: skip
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 MIN_CORNERS_TO_POOL, LEAST_SLOPE_SPREAD, NOISE_SPREAD, MAX_MISFIT = 12, 2e-5, 1.3, 0.1
-FAR_OFF, MOST_BEND_PX = 3.5, 0.1
 FAR_SLOPE, CHANCE, PIXELS_PER_CELL = 3.0, 8.0, 15.0
 LEAST_LONG, MOST_LONG, OFF_LINE, LEAST_APART_PX, ROUNDING = 0.4, 16.0, 0.3, 2.5, 1 / 12
 MOST_CROSSING = 0.3
 
 
-def pool(fits, board_xy):
+def pool(fits):
     """Points, covariances, sums of cross-covariances, misfits and noise."""
     is_fitted = np.isfinite(fits.points_px[:, 0])
     noise2 = max(float(np.median(fits.odd_variance[is_fitted])), 1 / 12) if is_fitted.any() else np.nan
@@ -20,8 +19,6 @@ def pool(fits, board_xy):
     scale = coherence(fits.long_variance[is_fitted & (misfit < 2)], noise2) * noise2
     joint = fits.joint_covariance * (scale * np.maximum(1, misfit / NOISE_SPREAD))[:, None, None]
     points, covariance = share_slope(fits.points_px, fits.light_slope, joint, is_fitted & (misfit < 2))
-    if board_xy is not None:
-        points -= bending_shift(board_xy, points, fits, is_fitted & (misfit < 2))
     coherent = misfit - 1 - CHANCE / np.sqrt(np.maximum(fits.n_pixels, 1))
     growth = (1 + np.maximum(coherent, 0) * fits.n_pixels / PIXELS_PER_CELL) / np.maximum(1, misfit / NOISE_SPREAD)
     covariance *= np.maximum(growth, 1)[:, None, None]
@@ -62,49 +59,6 @@ def cross_covariance(points, covariance, fits):
                         sums[i, k] += shared / np.sqrt(length[i] * length[j]) * sigma[i, k] * sigma[j, m]
     back = np.linalg.inv(np.where(np.isfinite(normals), normals, np.eye(2)))
     return np.einsum("nik,nk,njk->nij", back, sums, back)
-
-
-def bending_shift(board_xy, points, fits, is_sound):
-    """How far straight edges fitted to bent ones lie from the corner, pixels."""
-    n = int(is_sound.sum())
-    degree = 4 if n >= 40 else 3 if n >= 24 else 2 if n >= 12 else 0
-    if not degree:
-        return np.zeros_like(points)
-    xy = (board_xy - board_xy[is_sound].mean(axis=0)) / np.abs(board_xy - board_xy[is_sound].mean(axis=0))[
-        is_sound
-    ].max()
-    powers = [(i, k - i) for k in range(degree + 1) for i in range(k + 1)]
-
-    def basis(dx, dy):
-        """Derivatives of the polynomial's terms, ``dx`` times along x and ``dy`` times along y."""
-        columns = []
-        for i, j in powers:
-            factor = np.prod([i - k for k in range(dx)]) * np.prod([j - k for k in range(dy)])
-            columns.append(factor * xy[:, 0] ** max(i - dx, 0) * xy[:, 1] ** max(j - dy, 0))
-        return np.stack(columns, axis=-1)
-
-    terms, is_kept = basis(0, 0), is_sound.copy()
-    for _ in range(5):
-        if is_kept.sum() < len(powers) + 2:
-            return np.zeros_like(points)
-        coefficients = np.linalg.lstsq(terms[is_kept], points[is_kept], rcond=None)[0]
-        off = np.linalg.norm(points - terms @ coefficients, axis=1)
-        is_kept = is_sound & (off <= FAR_OFF * max(np.sqrt(np.median(off[is_sound] ** 2)), 1e-3))
-    blur = fits.blur_px.mean(axis=1)
-    mean_t2 = fits.radius_px**2 / 3 / np.maximum(1 - 1.13 * blur / fits.radius_px, 0.3)
-    normals, offsets = [], []
-    for along, twice in (((1, 0), (2, 0)), ((0, 1), (0, 2))):
-        tangent, second = basis(*along) @ coefficients, basis(*twice) @ coefficients
-        length2 = np.maximum((tangent**2).sum(axis=1), 1e-12)
-        normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1) / np.sqrt(length2)[:, None]
-        normals.append(normal)
-        offsets.append(0.5 * (normal * second).sum(axis=1) / length2 * mean_t2)
-    (a, b), (c, d) = (normals[0].T, normals[1].T)
-    determinant = a * d - b * c
-    is_usable = (np.abs(determinant) > 0.1) & (np.abs(offsets).max(axis=0) < MOST_BEND_PX)
-    determinant = np.where(is_usable, determinant, np.nan)
-    shift = np.stack([d * offsets[0] - b * offsets[1], a * offsets[1] - c * offsets[0]], axis=-1) / determinant[:, None]
-    return np.nan_to_num(shift)
 
 
 def sampling_covariance(fits):

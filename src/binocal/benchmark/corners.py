@@ -22,6 +22,7 @@ from binocal.cameras import Camera
 from binocal.detection.measuring.corner_fit import fit_corners
 from binocal.geometry import SE3
 from binocal.geometry.so3 import exp
+from binocal.kernels.corner_fits import BoardPlaces
 from binocal.shapes import Float
 from binocal.simulation import RenderOptions, render_image
 
@@ -190,7 +191,7 @@ def _run_case(case: _Case, seeds: range) -> dict[str, _Tally]:
         def fit(
             image: ndarray = image, start: ndarray = start, reach: ndarray = reach
         ) -> tuple[ndarray, ndarray | None]:
-            fitted = fit_corners(image, start, reach, board_xy=board.object_points_m[:, :2])
+            fitted = fit_corners(image, start, reach, board=BoardPlaces(board.object_points_m[:, :2], board.pitch_m))
             return fitted.points_px, fitted.covariance_px2
 
         def sub_pix(

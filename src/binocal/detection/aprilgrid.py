@@ -20,6 +20,7 @@ from binocal.detection.finding.strays import find_strays, stray_note
 from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import corner_covariance, measure_corners, refine_corners
+from binocal.kernels.corner_fits import BoardPlaces
 from binocal.shapes import Bool, Float, Float32, Int
 
 MIN_TAGS = 2  # one tag does not show how the ids run
@@ -162,7 +163,12 @@ def _measure(
         start = np.where(seen[:, None], points, rough)
         xy = board.object_points_m[:, :2]
         points, covariance, cross = measure_corners(
-            grey, start, xy, board.tag_gap_ratio * side, border * side, per_reach=window_per_side / board.tag_gap_ratio
+            grey,
+            start,
+            BoardPlaces(xy),
+            board.tag_gap_ratio * side,
+            border * side,
+            per_reach=window_per_side / board.tag_gap_ratio,
         )
     else:
         covariance = corner_covariance(grey, points, side, per_spacing=window_per_side) + L_CORNER_BIAS_PX**2 * np.eye(

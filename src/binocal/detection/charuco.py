@@ -17,6 +17,7 @@ from binocal.detection.finding.strays import find_strays, stray_note
 from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
+from binocal.kernels.corner_fits import BoardPlaces
 from binocal.shapes import Bool, Float, Float32, Int
 
 Layout = Literal["", "current", "legacy"]
@@ -144,7 +145,12 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
     # residuals of a real set (640x480, squares of 20-40 px).
     margin = 0.5 * (1 - board.marker_m / board.pitch_m)
     points, covariance, cross = measure_corners(
-        grey, predicted, board.object_points_m[:, :2], height, margin * height, per_reach=0.9 * margin
+        grey,
+        predicted,
+        BoardPlaces(board.object_points_m[:, :2], board.pitch_m),
+        height,
+        margin * height,
+        per_reach=0.9 * margin,
     )
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
     points[~_are_x_corners(stretched, points, spacing)] = np.nan

@@ -205,8 +205,22 @@ def grow_groups(
     groups: Indices,
     /,
 ) -> int: ...
-def fit_corners(image: ndarray, inputs: Floats, results: Floats, /) -> None: ...
-def pool_corners(fits: Floats, board_xy: Floats, pooled: Floats, /) -> float: ...
+def fit_corners(image: ndarray, inputs: Floats, board_xy: Floats, pitch: float, results: Floats, /) -> None: ...
+def pool_corners(fits: Floats, pooled: Floats, /) -> float: ...
+def fit_image_lens(
+    board_xy: Floats,
+    points: Floats,
+    width: float,
+    height: float,
+    tolerance: float,
+    n_unknowns: int,
+    is_robust: bool,
+    places: Floats,
+    lens: Floats,
+    lengths: Floats,
+    images: Floats,
+    /,
+) -> bool: ...
 def match_templates(
     from_image: ndarray,
     to_image: ndarray,

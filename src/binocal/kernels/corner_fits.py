@@ -130,13 +130,31 @@ class CornerFits:
         return self.records["n_evaluations"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardPlaces:
+    """Corners on their board, whose axes the corners' edges follow.
+
+    ``pitch`` is the distance of the board's lines, in the unit of ``xy``, where every corner has such lines on its four
+    sides (the board's outline is one); else 0.
+    """
+
+    xy: Float[ndarray, "n 2"]
+    pitch: float = 0.0
+
+
 def fit_corners(
-    grey: ndarray, points_px: Float[ndarray, "n 2"], reach_px: Float[ndarray, "n"], strip_px: Float[ndarray, "n"]
+    grey: ndarray,
+    points_px: Float[ndarray, "n 2"],
+    reach_px: Float[ndarray, "n"],
+    strip_px: Float[ndarray, "n"],
+    *,
+    board: BoardPlaces | None = None,
 ) -> CornerFits:
     """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
 
     ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
-    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``.
+    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``. With the corners'
+    places on the board their edges are the curves that the image's lens makes of straight ones: ``board_corners.hpp``.
 
     Raises:
         ValueError: The image is of another type or shape.
@@ -146,7 +164,8 @@ def fit_corners(
     inputs = np.empty(len(points_px), CORNER_INPUT)
     inputs["point_px"], inputs["reach_px"], inputs["strip_px"] = points_px, reach_px, strip_px
     records = np.empty(len(inputs), CORNER_FIT)
-    _kernel.fit_corners(np.ascontiguousarray(grey), _numbers(inputs), _numbers(records))
+    xy, pitch = (None, 0.0) if board is None else (board.xy, float(board.pitch))
+    _kernel.fit_corners(np.ascontiguousarray(grey), _numbers(inputs), as_floats(xy), pitch, _numbers(records))
     return CornerFits(records)
 
 
@@ -165,13 +184,10 @@ class PooledCorners:
     noise_dn: float
 
 
-def pool_corners(fits: CornerFits, board_xy: Float[ndarray, "n 2"] | None) -> PooledCorners:
-    """One estimate from the fits of one image; see ``corner_pool.hpp``.
-
-    With the corners' places on the board, whose axes their edges follow, the lens's bending of the edges is taken out.
-    """
+def pool_corners(fits: CornerFits) -> PooledCorners:
+    """One estimate from the fits of one image; see ``corner_pool.hpp``."""
     pooled = np.empty(len(fits.records), POOLED_CORNER)
-    noise2 = _kernel.pool_corners(_numbers(fits.records), as_floats(board_xy), _numbers(pooled))
+    noise2 = _kernel.pool_corners(_numbers(fits.records), _numbers(pooled))
     return PooledCorners(
         pooled["point_px"],
         pooled["covariance_px2"],

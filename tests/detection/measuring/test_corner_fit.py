@@ -4,10 +4,19 @@ import cv2
 import numpy as np
 import pytest
 
+from binocal.boards import parse_board
+from binocal.detection.finding.grid import grid_reach
 from binocal.detection.measuring.corner_fit import fit_corners
+from binocal.kernels.corner_fits import BoardPlaces
+from binocal.simulation import RenderOptions, render_image
+from wide_lenses import place_board, wide_camera
 
 SPEC = "chessboard:11x8:20mm"
 BIG = {"size_wh": (1280, 960), "distance": 1.3}
+
+
+def places_of(board):
+    return BoardPlaces(board.object_points_m[:, :2], board.pitch_m)
 
 
 def start_of(shot, seed=0, most_px=1.0):
@@ -16,9 +25,7 @@ def start_of(shot, seed=0, most_px=1.0):
 
 def fit_shot(shot, reach_px=40.0, **options):
     points = start_of(shot)
-    return fit_corners(
-        shot.image, points, np.full(len(points), reach_px), board_xy=shot.board.object_points_m[:, :2], **options
-    )
+    return fit_corners(shot.image, points, np.full(len(points), reach_px), board=places_of(shot.board), **options)
 
 
 @pytest.mark.parametrize("blur_px", [0.5, 0.8, 2.0])
@@ -100,7 +107,7 @@ def test_corners_that_share_pixels_state_what_their_errors_have_in_common(shoot,
         grid = shot.corners_px.reshape(8, 11, 2)
         reach_px = 0.93 * np.linalg.norm(np.diff(grid, axis=0), axis=-1).min()
         points = start_of(shot, most_px=0.5)
-        fit = fit_corners(shot.image, points, np.full(88, reach_px), board_xy=shot.board.object_points_m[:, :2])
+        fit = fit_corners(shot.image, points, np.full(88, reach_px), board=places_of(shot.board))
         error = (fit.points_px - shot.corners_px).reshape(8, 11, 2)
         others = np.zeros_like(error)
         others[1:] += error[:-1]
@@ -144,7 +151,9 @@ def test_blur_contrast_and_noise_are_measured(shoot):
 
 def test_few_corners_are_fitted_without_their_neighbours(shoot):
     shot = shoot(SPEC, noise_dn=1.0, **BIG)
-    few = fit_corners(shot.image, shot.corners_px[:4], np.full(4, 40.0), board_xy=shot.board.object_points_m[:4, :2])
+    few = fit_corners(
+        shot.image, shot.corners_px[:4], np.full(4, 40.0), board=BoardPlaces(shot.board.object_points_m[:4, :2], 0.02)
+    )
     assert np.abs(few.points_px - shot.corners_px[:4]).max() < 0.02
     none = fit_corners(shot.image, np.zeros((0, 2)), np.zeros(0))
     assert none.points_px.shape == (0, 2) and np.isnan(none.noise_dn)
@@ -170,3 +179,38 @@ def test_a_shadows_border_is_not_taken_for_the_boards_light(shoot):
     scores = np.concatenate(scores)
     assert len(scores) > 0.95 * 6 * 88
     assert np.mean(scores) < 1.5 and np.mean(scores > 16) < 0.01
+
+
+def errors_through(degrees, spec, size_wh, n_images, **options):
+    """Radial errors, all errors and whitened ones of a board's corners anywhere in the field."""
+    camera, board = wide_camera(degrees, size_wh), parse_board(spec)
+    middle, radial, errors, whitened = camera.K[:2, 2], [], [], []
+    for seed in range(n_images):
+        rng = np.random.default_rng(seed)
+        rendered = render_image(camera, place_board(camera, board, rng), board, RenderOptions(**options), rng)
+        truth = rendered.corners_px
+        start = truth + rng.uniform(-0.7, 0.7, truth.shape)
+        reach = grid_reach(truth.reshape(board.rows, board.columns, 2)).ravel()
+        fit = fit_corners(rendered.image, start, reach, board=places_of(board))
+        error, outward = fit.points_px - truth, truth - middle
+        radial.append((error * outward).sum(axis=1) / np.linalg.norm(outward, axis=1))
+        errors.append(error)
+        whitened.append(np.linalg.solve(np.linalg.cholesky(fit.covariance_px2), error[..., None])[..., 0])
+    return np.concatenate(radial), np.concatenate(errors), np.concatenate(whitened)
+
+
+@pytest.mark.parametrize("degrees", [110, 150, 180, 200])
+def test_wide_lenses_bias_no_exact_corner(degrees):
+    radial, errors, _ = errors_through(degrees, "chessboard:9x6:30mm", (640, 480), 3, noise_dn=0.0, bit_depth=16)
+    # measured: 0.0004 and 0.004; with straight edges and a polynomial's correction 0.035 and 0.2 at 180 degrees
+    assert abs(radial.mean()) < 0.001 and np.sqrt(np.mean(errors**2)) < 0.0015 and np.abs(errors).max() < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size_wh", [(640, 480), (1920, 1200)], ids=str)
+@pytest.mark.parametrize("spec", ["chessboard:5x4:60mm", "chessboard:11x8:25mm"])
+@pytest.mark.parametrize("degrees", [60, 110, 150, 180, 200])
+def test_stated_covariances_hold_through_wide_lenses(degrees, spec, size_wh):
+    radial, _, whitened = errors_through(degrees, spec, size_wh, 12, noise_dn=2.0, blur_px=0.8)
+    assert np.mean(whitened**2) == pytest.approx(1, abs=4 * np.sqrt(2 / whitened.size))
+    assert abs(radial.mean()) < 0.001

@@ -21,6 +21,7 @@ from binocal.detection.finding.search import SearchLevel
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
 from binocal.detection.measuring.saddles import localize_saddles
+from binocal.kernels.corner_fits import BoardPlaces
 from binocal.shapes import Bool, Float, UInt8
 
 MIN_SHARE_TO_LOOK_AGAIN = 0.4  # of the corners, to say where the missing ones are
@@ -46,6 +47,11 @@ class BoardImage:
     def board_xy(self) -> Float[ndarray, "n 2"]:
         """The corners on the board."""
         return self.board.object_points_m[:, :2]
+
+    @property
+    def places(self) -> BoardPlaces:
+        """The same, with the board's lines."""
+        return BoardPlaces(self.board_xy, self.board.pitch_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +113,7 @@ def _measure(shot: BoardImage, level: SearchLevel, grid: Float[ndarray, "rows co
     """The corners near those of a grid; those that moved far, are faint or lie off the smooth grid are not seen."""
     spacing = grid_spacing(grid).ravel()
     coarse = localize_saddles(shot.image, grid.reshape(-1, 2), spacing)
-    points, covariance, cross = measure_corners(shot.grey, coarse, shot.board_xy, grid_reach(grid).ravel())
+    points, covariance, cross = measure_corners(shot.grey, coarse, shot.places, grid_reach(grid).ravel())
     points = points.copy()
     points[np.linalg.norm(points - coarse, axis=1) > MAX_MOVE * spacing] = np.nan
     points[are_faint(level, points, grid)] = np.nan
@@ -132,7 +138,7 @@ def _look_again(shot: BoardImage, level: SearchLevel, measured: _Measured, shape
     whole = np.where(seen[:, None], measured.points_px, expected).reshape(shape)
     spacing, reach = grid_spacing(whole).ravel(), grid_reach(whole).ravel()
     coarse = localize_saddles(shot.image, np.where(seen[:, None], np.nan, expected), spacing)
-    found, of_found, cross_of_found = measure_corners(shot.grey, coarse, xy, reach)
+    found, of_found, cross_of_found = measure_corners(shot.grey, coarse, shot.places, reach)
     is_near = np.linalg.norm(found - expected, axis=1) < MAX_MOVE * spacing
     points = np.where(seen[:, None], measured.points_px, np.where(is_near[:, None], found, np.nan))
     covariance = np.where(seen[:, None, None], measured.covariance_px2, of_found)

@@ -1,7 +1,8 @@
 """Corners by a maximum-likelihood fit of a blurred saddle to the raw image, each with its covariance.
 
-The model and the fit are :mod:`binocal.kernels.corner_fits`'s (``corner_fit.hpp`` and ``corner_pool.hpp`` state them): each corner on
-its own first, then all of an image as one estimate, for they share the pixels' noise, the light's slope and the lens.
+The model and the fit are :mod:`binocal.kernels.corner_fits`'s (``corner_fit.hpp``, ``board_corners.hpp`` and ``corner_pool.hpp`` state
+them): each corner on its own first, then along edges bent as the image's lens bends them, then all of an image as one
+estimate, for they share the pixels' noise and the light's slope.
 """
 
 from __future__ import annotations
@@ -41,20 +42,20 @@ def fit_corners(
     reach_px: Float[ndarray, "n"],
     strip_px: Float[ndarray, "n"] | None = None,
     *,
-    board_xy: Float[ndarray, "n 2"] | None = None,
+    board: corner_fits.BoardPlaces | None = None,
 ) -> FittedCorners:
     """Fit the corner model around each point of an image (h, w), uint8, uint16 or float32.
 
     ``reach_px`` is the distance to the nearest edge that is not the corner's own: the fit takes a disc of 0.85 of it, at
     most 14 px and at least 2.5, less where the blur carries that edge in. ``strip_px`` limits it to bands along the
     corner's edges, where squares are not plain. Starts must lie within half the reach (at least 1.5 px); a corner
-    whose disc leaves the image, or that shows no saddle, is NaN. With the corners' places on the board, whose axes its
-    edges follow, the lens's bending of the edges is taken out.
+    whose disc leaves the image, or that shows no saddle, is NaN. With the corners' places on the board the edges are fitted
+    as the curves that the image's own lens makes of them.
     """
     points_px = np.asarray(points_px, dtype=float)
     strip = np.full(len(points_px), np.inf) if strip_px is None else strip_px
-    fits = corner_fits.fit_corners(grey, points_px, reach_px, strip)
-    pooled = corner_fits.pool_corners(fits, board_xy)
+    fits = corner_fits.fit_corners(grey, points_px, reach_px, strip, board=board)
+    pooled = corner_fits.pool_corners(fits)
     blur = np.sqrt(np.maximum(fits.blur_px**2 - 1 / 12, 0))
     return FittedCorners(
         pooled.points_px,

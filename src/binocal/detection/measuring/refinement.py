@@ -7,6 +7,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.detection.measuring.corner_fit import fit_corners
+from binocal.kernels.corner_fits import BoardPlaces
 from binocal.shapes import Bool, Float, Int
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
@@ -26,7 +27,7 @@ BURNT_OUT_SHARE = 0.2  # of a corner's window at the top of the range, for it to
 def measure_corners(
     grey: ndarray,
     points_px: Float[ndarray, "n 2"],
-    board_xy: Float[ndarray, "n 2"],
+    board: BoardPlaces,
     reach_px: Float[ndarray, "n"],
     strip_px: Float[ndarray, "n"] | None = None,
     *,
@@ -42,14 +43,14 @@ def measure_corners(
     but not where ``strip_px`` bounds what is printed beside it and the paper is burnt out, which spreads one over the other.
     A corner whose surroundings contradict the model (covered, glare) is NaN.
     """
-    fitted = fit_corners(grey, points_px, reach_px, strip_px, board_xy=board_xy)
+    fitted = fit_corners(grey, points_px, reach_px, strip_px, board=board)
     is_open = ~np.isfinite(fitted.misfit) & np.isfinite(points_px[:, 0]) & np.isfinite(reach_px)
     if not is_open.any():
         return fitted.points_px, fitted.covariance_px2, fitted.cross_covariance_px2
     rough = np.where(is_open[:, None], points_px, np.nan)
     again = refine_corners(grey, rough, reach_px, per_spacing=per_reach)
     start = np.where(np.isfinite(again), again, points_px)
-    fitted = fit_corners(grey, start, reach_px, strip_px, board_xy=board_xy)
+    fitted = fit_corners(grey, start, reach_px, strip_px, board=board)
     points, covariance, cross = (
         a.copy() for a in (fitted.points_px, fitted.covariance_px2, fitted.cross_covariance_px2)
     )

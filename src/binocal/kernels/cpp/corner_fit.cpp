@@ -1,6 +1,5 @@
 // The corner fit in Python: an image and starts in, corners and what is known of them out.
-#include "corner_fit.hpp"
-
+#include "board_corners.hpp"
 #include "corner_pool.hpp"
 #include "kernel.hpp"
 
@@ -12,23 +11,27 @@ template <typename Pixel>
 using Image = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
 
 template <typename Pixel>
-void fit(const Image<Pixel>& image, const Doubles& inputs, DoublesOut results) {
+void fit(const Image<Pixel>& image, const Doubles& inputs, const Doubles& board_xy, double pitch, DoublesOut results) {
     const std::size_t n = inputs.size() / kInputSize;
     if (inputs.size() != kInputSize * n || results.size() != kResultSize * n)
         throw nb::value_error("inputs must be (n, 4) and results (n, 25)");
+    require(board_xy.size() == 0 || board_xy.size() == 2 * n, "board_xy must be (n, 2) or empty");
     const Pixel* pixels = image.data();
     const auto height = static_cast<std::ptrdiff_t>(image.shape(0)), width = static_cast<std::ptrdiff_t>(image.shape(1));
     nb::gil_scoped_release unlocked;
-    fit_corners(pixels, height, width, reinterpret_cast<const CornerInput*>(inputs.data()), static_cast<std::ptrdiff_t>(n),
-                reinterpret_cast<CornerResult*>(results.data()));
+    const auto* starts = reinterpret_cast<const CornerInput*>(inputs.data());
+    auto* fits = reinterpret_cast<CornerResult*>(results.data());
+    const auto n_corners = static_cast<std::ptrdiff_t>(n);
+    if (board_xy.size() == 0) return fit_corners(pixels, height, width, starts, n_corners, fits);
+    fit_board_corners(pixels, height, width, starts, n_corners, BoardPlaces{board_xy.data(), pitch}, fits);
 }
 
-double pool(const Doubles& fits, const Doubles& board_xy, DoublesOut pooled) {
+double pool(const Doubles& fits, DoublesOut pooled) {
     const std::size_t n = fits.size() / kResultSize;
-    if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n || (board_xy.size() != 0 && board_xy.size() != 2 * n))
-        throw nb::value_error("fits must be (n, 25), board_xy (n, 2) or empty, and results (n, 11)");
+    if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n)
+        throw nb::value_error("fits must be (n, 25) and results (n, 11)");
     nb::gil_scoped_release unlocked;
-    return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n, board_xy.size() ? board_xy.data() : nullptr,
+    return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n,
                         reinterpret_cast<PooledCorner*>(pooled.data()));
 }
 

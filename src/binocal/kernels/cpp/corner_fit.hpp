@@ -8,6 +8,8 @@
 // Eleven parameters: c (2), two edge angles, two log blurs, a, b, g (2), q. Each edge has its own blur, for motion; q is the
 // first order of a tone curve (gamma, saturation). Both are even under u -> -u, as all but c and g are, so they cost the
 // position nothing. Pixel integration adds 1/12 px^2 to the blurs' squares, which the fit absorbs.
+// An edge that a lens bends by a known curvature k has d = (n.u - k / 2 ((t.u)^2 + sigma^2)) / sigma, t along it: the last term
+// is what blur moves a bent edge by, towards its centre of curvature.
 #pragma once
 
 #include "cpu.hpp"
@@ -92,7 +94,8 @@ struct alignas(32) Patch {
 };
 
 struct Region {
-    double radius, strip;  // px: disc, and half width of the bands along the edges beyond which nothing counts
+    double radius, strip;      // px: disc, and half width of the bands along the edges beyond which nothing counts
+    double bend[2] = {0, 0};  // 1/px: the edges' curvatures, towards their normals
 };
 
 struct Equations {
@@ -348,9 +351,21 @@ class CornerFitter {
           farthest_(std::max(1.5, 0.5 * input.reach)) {}
 
     // All NaN where there is no corner.
-    CornerResult fit() {
+    CornerResult fit() { return fit_from(begin()); }
+
+    // From an earlier fit, with edges of these curvatures towards their normals, 1/px.
+    CornerResult fit_bent(const CornerResult& first, const double (&bend)[2]) {
+        greatest_ = kMaxRadius;
+        std::copy(bend, bend + 2, region_.bend);
+        return fit_from(begin(&first));
+    }
+
+  private:
+    enum class Progress { running, done, failed };
+
+    CornerResult fit_from(bool has_begun) {
         CornerResult result;
-        if (begin()) {
+        if (has_begun) {
             Progress progress = Progress::running;
             while (progress == Progress::running && n_evaluations_ < kMaxEvaluations) progress = iterate();
             if (progress == Progress::done && is_a_corner() && describe(result)) return result;
@@ -358,9 +373,6 @@ class CornerFitter {
         std::fill_n(reinterpret_cast<double*>(&result), kResultSize, std::numeric_limits<double>::quiet_NaN());
         return result;
     }
-
-  private:
-    enum class Progress { running, done, failed };
 
     struct Step {
         double change[kParameters], next[kParameters];
@@ -380,17 +392,24 @@ class CornerFitter {
     Region region_of(double x, double y, double blur) const {
         double radius = std::min({greatest_, 0.85 * input_.reach, input_.reach - 2 * blur});
         double strip = std::max(input_.strip - 2 * blur, 1.0);
-        return Region{std::min(std::max(radius, kMinRadius), margin(x, y)), strip};
+        return Region{std::min(std::max(radius, kMinRadius), margin(x, y)), strip, {region_.bend[0], region_.bend[1]}};
     }
 
-    // Region, first parameters and their cost; false where the ring around the start shows no saddle.
-    bool begin() {
+    // Region, first parameters and their cost, the parameters those of an earlier fit if there is one; false where the ring around
+    // the start shows no saddle.
+    bool begin(const CornerResult* first = nullptr) {
         if (!(std::isfinite(input_.x) && std::isfinite(input_.y) && input_.reach > 0 && input_.strip > 0)) return false;
-        region_ = region_of(input_.x, input_.y, 1.0);
+        region_ = region_of(input_.x, input_.y, first ? std::max(first->blur1, first->blur2) : 1.0);
         if (!(region_.radius >= kMinRadius)) return false;
         double offset = 0;
         const double ring = std::min(region_.radius, std::max(kMinRadius, 1.8 * input_.strip));
         if (!start(image_, width_, input_.x, input_.y, ring, p_, offset, contrast_)) return false;
+        if (first) {
+            p_[kAngle1] = first->angle1, p_[kAngle2] = first->angle2;
+            p_[kBlur1] = std::log(first->blur1), p_[kBlur2] = std::log(first->blur2);
+            p_[kContrast] = first->contrast / contrast_;
+            p_[kSlopeX] = first->gx, p_[kSlopeY] = first->gy;
+        }
         work_.patch.radius = 0;  // holds another corner
         cost_ = evaluate(p_, current_);
         n_evaluations_ = 1;

@@ -112,7 +112,8 @@ BINOCAL_INLINE Lane error_function(Lane x, Lane gauss) {
 constexpr float kFar = 5.0f;  // sigmas: beyond it 6e-7 of the contrast is left
 
 // Fill the Jacobian's columns, the residual's and the weights; each column is multiplied by the root of the weight.
-inline void linearize(Workspace& work, const double* p, const Region& region) {
+template <bool is_bent>
+inline void linearize_as(Workspace& work, const double* p, const Region& region) {
     const Patch& patch = work.patch;
     double s1 = std::exp(-p[kBlur1]), s2 = std::exp(-p[kBlur2]);
     double c1 = std::cos(p[kAngle1]), n1 = std::sin(p[kAngle1]), c2 = std::cos(p[kAngle2]), n2 = std::sin(p[kAngle2]);
@@ -135,11 +136,23 @@ inline void linearize(Workspace& work, const double* p, const Region& region) {
     const Lane joint = constant(4 / (2 * 3.14159265358979 * rest)), slope = constant(2 / std::sqrt(2 * 3.14159265358979));
     const Lane a = constant(p[kOffset]), b = constant(p[kContrast]), gx = constant(p[kSlopeX]), gy = constant(p[kSlopeY]), q = constant(p[kTone]);
     const Lane one = splat(1.0f), zero = splat(0.0f), far = splat(8.0f), tiny = splat(1e-30f);
+    const Lane bend1 = constant(0.5 * region.bend[0] / s1), bend2 = constant(0.5 * region.bend[1] / s2);
+    const Lane turn1 = constant(region.bend[0] / s1), turn2 = constant(region.bend[1] / s2);  // k sigma
     const Lane edge = constant(region.radius + 0.5), strip = constant(std::min(region.strip, 100.0) + 0.5);
     for (int i = 0; i < patch.n_vectors; ++i) {
         const int at = i * kLanes;
         Lane u = load(patch.u + at) - fx, v = load(patch.v + at) - fy;
         Lane d1 = normal1x * u + normal1y * v, d2 = normal2x * u + normal2y * v;
+        Lane turned1 = along1x * u + along1y * v, turned2 = along2x * u + along2y * v;  // -t.u / sigma
+        Lane n1x = normal1x, n1y = normal1y, n2x = normal2x, n2y = normal2y, widened1 = zero, widened2 = zero;
+        if constexpr (is_bent) {
+            n1x = n1x - turn1 * turned1 * along1x, n1y = n1y - turn1 * turned1 * along1y;
+            n2x = n2x - turn2 * turned2 * along2x, n2y = n2y - turn2 * turned2 * along2y;
+            const Lane straight1 = d1, straight2 = d2;
+            d1 = d1 - bend1 * (turned1 * turned1 + one), d2 = d2 - bend2 * (turned2 * turned2 + one);
+            turned1 = turned1 * (one + turn1 * straight1), turned2 = turned2 * (one + turn2 * straight2);
+            widened1 = turn1, widened2 = turn2;
+        }
         // The weight: a disc with an edge one pixel wide, cut to bands along the edges. Its root multiplies the columns.
         Lane r2 = u * u + v * v;
         Lane distance = square_root(r2);
@@ -178,12 +191,12 @@ inline void linearize(Workspace& work, const double* p, const Region& region) {
         F1 = F1 * gain;
         F2 = F2 * gain;
         Fr = Fr * gain;
-        store(work.columns[kX] + at, zero - (F1 * normal1x + F2 * normal2x + root * print * gx));
-        store(work.columns[kY] + at, zero - (F1 * normal1y + F2 * normal2y + root * print * gy));
-        store(work.columns[kAngle1] + at, F1 * (along1x * u + along1y * v) - Fr * Skew);
-        store(work.columns[kAngle2] + at, F2 * (along2x * u + along2y * v) + Fr * Skew);
-        store(work.columns[kBlur1] + at, zero - F1 * d1);
-        store(work.columns[kBlur2] + at, zero - F2 * d2);
+        store(work.columns[kX] + at, zero - (F1 * n1x + F2 * n2x + root * print * gx));
+        store(work.columns[kY] + at, zero - (F1 * n1y + F2 * n2y + root * print * gy));
+        store(work.columns[kAngle1] + at, F1 * turned1 - Fr * Skew);
+        store(work.columns[kAngle2] + at, F2 * turned2 + Fr * Skew);
+        store(work.columns[kBlur1] + at, zero - F1 * (d1 + widened1));
+        store(work.columns[kBlur2] + at, zero - F2 * (d2 + widened2));
         store(work.columns[kOffset] + at, root * light);
         store(work.columns[kContrast] + at, root * light * G);
         store(work.columns[kSlopeX] + at, root * print * u);
@@ -191,6 +204,11 @@ inline void linearize(Workspace& work, const double* p, const Region& region) {
         store(work.columns[kTone] + at, root * light * b * (one - F * F));
         store(work.columns[kParameters] + at, root * (load(patch.value + at) - print * light));
     }
+}
+
+inline void linearize(Workspace& work, const double* p, const Region& region) {
+    if (region.bend[0] == 0 && region.bend[1] == 0) return linearize_as<false>(work, p, region);
+    linearize_as<true>(work, p, region);
 }
 
 inline void multiply(const Workspace& work, Equations& out) {

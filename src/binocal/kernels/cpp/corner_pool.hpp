@@ -1,5 +1,5 @@
 // The fits of one image's corners made one estimate: they share the pixels' noise and the light's slope, which is
-// smooth across a board, and lie on a plane seen through a lens, whose bending of the edges is taken out.
+// smooth across a board.
 #pragma once
 
 #include "corner_fit.hpp"
@@ -15,8 +15,6 @@ constexpr double kChance = 8.0;                // over the root of the pixels: f
 constexpr double kPixelsPerCell = 15.0;        // what contradicts the model is alike over so many pixels: measured on shadows' borders
 constexpr double kMaxMisfit = 0.1;             // of the contrast: odd residuals beyond it are an occlusion or a glare, not a corner
 constexpr double kFarSlope2 = 9.0;             // a slope three standard deviations from the others' is one of its own: a shadow's
-constexpr double kFarOff = 3.5;                // times the median distance from a smooth board: not a corner of it
-constexpr double kMostBend = 0.1;              // px; a strong fisheye's edges bend a corner by 0.02
 constexpr double kRounding = 1.0 / 12;         // grey levels^2
 constexpr double kMostLong = 16.0;             // variance of noise alike in neighbours over the pixels': upscaled images have 4 and more
 constexpr double kLeastLong = 0.4;             // JPEG at a noise of 1 grey level has 0.7
@@ -64,20 +62,19 @@ inline double coherence_of(const CornerResult* fits, const std::vector<std::size
     return std::max(std::min(std::max(1 + kept * off, kLeastLong), kMostLong), kRounding / noise2);
 }
 
-// Weighted least squares in up to 15 unknowns by normal equations.
+// Weighted least squares in few unknowns by normal equations.
 class LeastSquares {
   public:
     explicit LeastSquares(int n) : n_(n) {}
-    void add(const double* row, double weight, double y0, double y1) {
+    void add(const double* row, double weight, double y) {
         for (int i = 0; i < n_; ++i) {
             for (int j = 0; j <= i; ++j) A_[i][j] += weight * row[i] * row[j];
-            b_[0][i] += weight * row[i] * y0;
-            b_[1][i] += weight * row[i] * y1;
+            b_[i] += weight * row[i] * y;
         }
     }
     bool factorize() { return cholesky(&A_[0][0], &L_[0][0], n_, kMost, 1e-13); }
-    void solve(int side, double* x) const {
-        solve_lower(&L_[0][0], n_, kMost, b_[side], x);
+    void solve(double* x) const {
+        solve_lower(&L_[0][0], n_, kMost, b_, x);
         solve_upper(&L_[0][0], n_, kMost, x);
     }
     // Variance of the fit at a row, for weights that are inverse variances.
@@ -89,9 +86,9 @@ class LeastSquares {
     }
 
   private:
-    static constexpr int kMost = 15;
+    static constexpr int kMost = 3;
     int n_;
-    double A_[kMost][kMost] = {}, L_[kMost][kMost] = {}, b_[2][kMost] = {};
+    double A_[kMost][kMost] = {}, L_[kMost][kMost] = {}, b_[kMost] = {};
 };
 
 // Positions given what the other corners say about the light's slope (relative, per px).
@@ -122,10 +119,10 @@ inline void share_slope(const CornerResult* fits, std::size_t n, const std::vect
             fit = LeastSquares(3);
             for (std::size_t i : sound) {
                 row_of(fits[i], row);
-                fit.add(row, 1 / (fits[i].covariance[of_slope[axis]] * scale_of(fits[i]) + spread2), axis ? fits[i].gy : fits[i].gx, 0);
+                fit.add(row, 1 / (fits[i].covariance[of_slope[axis]] * scale_of(fits[i]) + spread2), axis ? fits[i].gy : fits[i].gx);
             }
             if (!fit.factorize()) return;
-            fit.solve(0, c);
+            fit.solve(c);
             for (std::size_t k = 0; k < sound.size(); ++k) {
                 const CornerResult& corner = fits[sound[k]];
                 row_of(corner, row);
@@ -162,81 +159,6 @@ inline void share_slope(const CornerResult* fits, std::size_t n, const std::vect
         out[i].y += gain[1][0] * off[0] + gain[1][1] * off[1];
         for (int k : {0, 1})
             for (int l : {0, 1}) out[i].covariance[2 * k + l] -= gain[k][0] * cross[l][0] + gain[k][1] * cross[l][1];
-    }
-}
-
-// How far straight edges fitted to bent ones lie from the corner, pixels: up to 0.002 px in an ordinary lens.
-//
-// An edge of curvature k lies k t^2 / 2 from its tangent at t px from the corner; the fit takes the mean over its reach. The
-// curvature along the board's axes follows from a polynomial of the image in the board's coordinates.
-inline void unbend(const CornerResult* fits, std::size_t n, const double* board_xy, const std::vector<std::size_t>& sound,
-                   PooledCorner* out) {
-    const int degree = sound.size() >= 40 ? 4 : sound.size() >= 24 ? 3 : sound.size() >= 12 ? 2 : 0;
-    if (degree == 0) return;
-    const int n_terms = (degree + 1) * (degree + 2) / 2;
-    double mean_x = 0, mean_y = 0, extent = 1e-300;
-    for (std::size_t i : sound) mean_x += board_xy[2 * i], mean_y += board_xy[2 * i + 1];
-    mean_x /= sound.size(), mean_y /= sound.size();
-    for (std::size_t i : sound)
-        extent = std::max({extent, std::fabs(board_xy[2 * i] - mean_x), std::fabs(board_xy[2 * i + 1] - mean_y)});
-    struct Terms {
-        double value[15], x[15], y[15], xx[15], yy[15];
-    };
-    auto terms_at = [&](std::size_t i, Terms& t) {
-        double X[5] = {1, (board_xy[2 * i] - mean_x) / extent}, Y[5] = {1, (board_xy[2 * i + 1] - mean_y) / extent};
-        for (int k = 2; k <= degree; ++k) X[k] = X[k - 1] * X[1], Y[k] = Y[k - 1] * Y[1];
-        for (int k = 0, m = 0; k <= degree; ++k) {
-            for (int a = 0; a <= k; ++a, ++m) {
-                const int b = k - a;
-                t.value[m] = X[a] * Y[b];
-                t.x[m] = a > 0 ? a * X[a - 1] * Y[b] : 0;
-                t.y[m] = b > 0 ? b * X[a] * Y[b - 1] : 0;
-                t.xx[m] = a > 1 ? a * (a - 1) * X[a - 2] * Y[b] : 0;
-                t.yy[m] = b > 1 ? b * (b - 1) * X[a] * Y[b - 2] : 0;
-            }
-        }
-    };
-    Terms terms;
-    double c[2][15], limit2 = std::numeric_limits<double>::infinity();
-    std::vector<double> off2(sound.size(), 0.0);
-    for (int round = 0; round < 5; ++round) {  // a corner in the wrong place would bend the edges of all the others
-        LeastSquares fit(n_terms);
-        std::size_t n_kept = 0;
-        for (std::size_t k = 0; k < sound.size(); ++k) {
-            if (off2[k] > limit2) continue;
-            terms_at(sound[k], terms);
-            fit.add(terms.value, 1, out[sound[k]].x, out[sound[k]].y);
-            ++n_kept;
-        }
-        if (n_kept < static_cast<std::size_t>(n_terms) + 2 || !fit.factorize()) return;
-        for (int side : {0, 1}) fit.solve(side, c[side]);
-        for (std::size_t k = 0; k < sound.size(); ++k) {
-            terms_at(sound[k], terms);
-            double x = out[sound[k]].x, y = out[sound[k]].y;
-            for (int m = 0; m < n_terms; ++m) x -= terms.value[m] * c[0][m], y -= terms.value[m] * c[1][m];
-            off2[k] = x * x + y * y;
-        }
-        limit2 = kFarOff * kFarOff * std::max(median_of(off2), 1e-6);
-    }
-    for (std::size_t i = 0; i < n; ++i) {
-        if (!std::isfinite(out[i].x)) continue;
-        terms_at(i, terms);
-        const double blur = 0.5 * (fits[i].blur1 + fits[i].blur2), radius = fits[i].radius;
-        const double mean_t2 = radius * radius / 3 / std::max(1 - 1.13 * blur / radius, 0.3);  // the blurred crossing says little
-        double normal[2][2], offset[2];
-        for (int axis : {0, 1}) {
-            const double *along = axis ? terms.y : terms.x, *twice = axis ? terms.yy : terms.xx;
-            double tangent[2] = {0, 0}, second[2] = {0, 0};
-            for (int m = 0; m < n_terms; ++m)
-                for (int side : {0, 1}) tangent[side] += along[m] * c[side][m], second[side] += twice[m] * c[side][m];
-            const double length2 = std::max(tangent[0] * tangent[0] + tangent[1] * tangent[1], 1e-12), length = std::sqrt(length2);
-            normal[axis][0] = -tangent[1] / length, normal[axis][1] = tangent[0] / length;
-            offset[axis] = 0.5 * (normal[axis][0] * second[0] + normal[axis][1] * second[1]) / length2 * mean_t2;
-        }
-        const double determinant = normal[0][0] * normal[1][1] - normal[0][1] * normal[1][0];
-        if (!(std::fabs(determinant) > 0.1) || !(std::max(std::fabs(offset[0]), std::fabs(offset[1])) < kMostBend)) continue;
-        out[i].x -= (normal[1][1] * offset[0] - normal[0][1] * offset[1]) / determinant;
-        out[i].y -= (normal[0][0] * offset[1] - normal[1][0] * offset[0]) / determinant;
     }
 }
 
@@ -306,8 +228,8 @@ inline void share_pixels(const CornerResult* fits, std::size_t n, PooledCorner* 
     }
 }
 
-// Pools n fits into n corners, NaN where there is none; `board_xy` may be null. Returns the noise's variance, grey levels^2.
-inline double pool_corners(const CornerResult* fits, std::size_t n, const double* board_xy, PooledCorner* out) {
+// Pools n fits into n corners, NaN where there is none. Returns the noise's variance, grey levels^2.
+inline double pool_corners(const CornerResult* fits, std::size_t n, PooledCorner* out) {
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();
     std::vector<double> odd;
     for (std::size_t i = 0; i < n; ++i)
@@ -333,7 +255,6 @@ inline double pool_corners(const CornerResult* fits, std::size_t n, const double
         corner.covariance[1] = corner.covariance[2] = fit.covariance[1] * scale;
     }
     share_slope(fits, n, sound, noise2, coherence, out);
-    if (board_xy) unbend(fits, n, board_xy, sound, out);
     for (std::size_t i = 0; i < n; ++i) {
         const double growth = growth_of(fits[i], out[i].misfit) / std::max(1.0, out[i].misfit / kNoiseSpread);
         if (growth > 1)
