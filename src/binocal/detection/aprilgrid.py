@@ -178,7 +178,7 @@ def _measure(
     points[np.linalg.norm(points - rough, axis=1) > np.maximum(0.15 * side, 2.5)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= 4:
-        points = keep_regular(board.object_points_m[:, :2], points, 0.5 * side)
+        points = keep_regular(board.object_points_m[:, :2], points, 0.5 * side, (grey.shape[1], grey.shape[0]))
         seen = np.isfinite(points[:, 0])
     if seen.sum() < 4:
         return not_found(

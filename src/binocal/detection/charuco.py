@@ -156,7 +156,7 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
     points[~_are_x_corners(stretched, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= MIN_CORNERS:
-        points = keep_regular(board.object_points_m[:, :2], points, spacing)
+        points = keep_regular(board.object_points_m[:, :2], points, spacing, (grey.shape[1], grey.shape[0]))
         seen = np.isfinite(points[:, 0])
     if seen.sum() < MIN_CORNERS or not _span_plane(board.object_points_m[seen, :2]):
         return not_found(

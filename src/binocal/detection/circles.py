@@ -138,7 +138,7 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     centres[seen] -= _centroid_shift(xy[seen], centres[seen], areas_px2[seen])
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
-    centres = keep_regular(xy, centres, spacing)
+    centres = keep_regular(xy, centres, spacing, (grey.shape[1], grey.shape[0]))
     n_seen = int(np.isfinite(centres[:, 0]).sum())
     if n_seen < (1 - MAX_SHARE_MISSING) * board.n_points:
         return not_found(board.n_points, f"the circles do not lie on a smooth grid ({n_seen} of {board.n_points} do)")

@@ -24,7 +24,7 @@ def lattice(columns=9, rows=6, n_missing=0, at=(0.0, 0.0), pitch=20.0):
 
 def level(*lattices, n_linked=0):
     nothing = XCorners(np.zeros((0, 2)), np.zeros((0, 4)), np.zeros(0))
-    flat = np.zeros((4, 4), np.float32)
+    flat = np.zeros((480, 640), np.float32)
     return SearchLevel(SaddleImage(flat, flat, 3.0), nothing, np.eye(2, 3), list(lattices), np.zeros((n_linked, 2)))
 
 

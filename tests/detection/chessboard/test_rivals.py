@@ -17,6 +17,7 @@ def lattice(columns, rows, *, pitch=20.0, at=(0.0, 0.0), n_missing=0, bent_px=0.
     return Lattice(grid, True, 100.0)
 
 
+SIZE_WH = (640, 480)
 MAIN = lattice(10, 6)
 FAR = (500.0, 0.0)
 
@@ -38,14 +39,14 @@ FAR = (500.0, 0.0)
     ],
 )
 def test_a_second_board(other, is_board):
-    assert (len(boards_among([MAIN, other])) == 2) is is_board
-    assert (len(boards_among([other], MAIN)) == 2) is is_board
+    assert (len(boards_among([MAIN, other], size_wh=SIZE_WH)) == 2) is is_board
+    assert (len(boards_among([other], MAIN, size_wh=SIZE_WH)) == 2) is is_board
 
 
 def test_the_main_lattice_is_a_board_whatever_it_is():
     holed = lattice(10, 6, n_missing=30)
-    assert boards_among([holed], holed) == [holed] and boards_among([holed]) == []
+    assert boards_among([holed], holed, size_wh=SIZE_WH) == [holed] and boards_among([holed], size_wh=SIZE_WH) == []
 
 
 def test_a_board_with_a_missing_corner_still_has_an_outline():
-    assert len(boards_among([lattice(10, 6, n_missing=1), lattice(8, 5, at=(10.0, 5.0))])) == 1
+    assert len(boards_among([lattice(10, 6, n_missing=1), lattice(8, 5, at=(10.0, 5.0))], size_wh=SIZE_WH)) == 1

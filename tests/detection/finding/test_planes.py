@@ -29,4 +29,4 @@ def test_wild_points_do_not_move_what_is_expected():
     seen = points.copy()
     seen[:9] = np.nan
     seen[[20, 33, 47], 0] += 12.0
-    assert np.abs(expected_points(XY, seen, 50.0) - points).max() < 0.1  # 6 px if they kept a weight
+    assert np.abs(expected_points(XY, seen, 50.0, (640, 480)) - points).max() < 0.1  # 6 px if they kept a weight

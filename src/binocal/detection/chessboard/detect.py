@@ -57,7 +57,11 @@ def detect_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board)
 
 def find_chessboard_size(image: UInt8[ndarray, "h w"]) -> tuple[int, int] | None:
     """Columns and rows (the larger first) of the largest complete chessboard in an image."""
-    largest = [lattice for level in scaled_levels(image, None) for lattice in boards_among(level.lattices)[:1]]
+    largest = [
+        lattice
+        for level in scaled_levels(image, None)
+        for lattice in boards_among(level.lattices, size_wh=level.size_wh)[:1]
+    ]
     return max(largest, key=lambda lattice: lattice.n_seen).size if largest else None
 
 

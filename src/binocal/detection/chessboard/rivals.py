@@ -18,13 +18,16 @@ RIVAL_CORNERS = 0.4
 RIVAL_SPACING = 0.4
 
 
-def boards_among(lattices: list[Lattice], main: Lattice | None = None) -> list[Lattice]:
-    """The lattices that are boards: regular, nearly complete, not much smaller than the main one (else the largest)."""
+def boards_among(lattices: list[Lattice], main: Lattice | None = None, *, size_wh: tuple[int, int]) -> list[Lattice]:
+    """The lattices of an image of this size that are boards: regular, nearly complete, not much smaller than the main one.
+
+    That is the largest if none is given.
+    """
     boards = [] if main is None else [main]
     for lattice in lattices:
         if lattice is main or not _is_nearly_whole(lattice) or (boards and _is_minor(lattice, boards)):
             continue
-        if _is_regular(lattice):
+        if _is_regular(lattice, size_wh):
             boards.append(lattice)
     return boards
 
@@ -42,11 +45,11 @@ def _is_minor(lattice: Lattice, boards: list[Lattice]) -> bool:
     return bool(spacing < RIVAL_SPACING * of_first) or any(_lies_within(lattice, board) for board in boards)
 
 
-def _is_regular(lattice: Lattice) -> bool:
+def _is_regular(lattice: Lattice, size_wh: tuple[int, int]) -> bool:
     xy = _cells(lattice.points_px)
     seen = np.isfinite(lattice.points_px[..., 0]).ravel()
     points, spacing = lattice.points_px.reshape(-1, 2)[seen], grid_spacing(lattice.points_px).ravel()[seen]
-    return not find_irregular(xy[seen], points, spacing).any()
+    return not find_irregular(xy[seen], points, spacing, size_wh).any()
 
 
 def _lies_within(lattice: Lattice, board: Lattice) -> bool:

@@ -73,7 +73,7 @@ class Sightings:
         return {"most_seen": max(self.most_seen, n_seen), "pending": pending}
 
     def _see_others(self, level: SearchLevel) -> dict[str, Any]:
-        boards = boards_among(level.lattices)
+        boards = boards_among(level.lattices, size_wh=level.size_wh)
         if len(boards) > 1:  # or pieces of one, which a finer search puts together
             return {"several": self.several or tuple(boards)}
         part, other = self.part, self.other

@@ -44,6 +44,11 @@ class BoardImage:
         return max(self.board.columns, self.board.rows), min(self.board.columns, self.board.rows)
 
     @property
+    def size_wh(self) -> tuple[int, int]:
+        """The image's width and height, pixels."""
+        return self.image.shape[1], self.image.shape[0]
+
+    @property
     def board_xy(self) -> Float[ndarray, "n 2"]:
         """The corners on the board."""
         return self.board.object_points_m[:, :2]
@@ -69,7 +74,7 @@ class _Measured:
 
 def verify(shot: BoardImage, candidate: Candidate) -> FoundBoard:
     """Orient, measure at full resolution and check a lattice of the board's size."""
-    rivals = boards_among(candidate.level.lattices, candidate.lattice)[1:]
+    rivals = boards_among(candidate.level.lattices, candidate.lattice, size_wh=candidate.level.size_wh)[1:]
     refused = _find_contradiction(shot.board, candidate, rivals)
     if refused is not None:
         return refused
@@ -117,22 +122,22 @@ def _measure(shot: BoardImage, level: SearchLevel, grid: Float[ndarray, "rows co
     points = points.copy()
     points[np.linalg.norm(points - coarse, axis=1) > MAX_MOVE * spacing] = np.nan
     points[are_faint(level, points, grid)] = np.nan
-    return _Measured(_without_irregular(shot.board_xy, points, spacing, MIN_SHARE_SEEN), covariance, cross)
+    return _Measured(_without_irregular(shot, points, spacing, MIN_SHARE_SEEN), covariance, cross)
 
 
 def _without_irregular(
-    xy: Float[ndarray, "n 2"], points: Float[ndarray, "n 2"], spacing: Float[ndarray, "n"], least_share: float
+    shot: BoardImage, points: Float[ndarray, "n 2"], spacing: Float[ndarray, "n"], least_share: float
 ) -> Float[ndarray, "n 2"]:
     """The points, those off the smooth image of the board NaN, if there are enough to say so."""
     is_enough = np.isfinite(points[:, 0]).sum() >= max(MIN_CORNERS, least_share * len(points))
-    return keep_regular(xy, points, spacing) if is_enough else points
+    return keep_regular(shot.board_xy, points, spacing, shot.size_wh) if is_enough else points
 
 
 def _look_again(shot: BoardImage, level: SearchLevel, measured: _Measured, shape: tuple[int, ...]) -> _Measured:
     """With the corners that are missing, from where the others say that they are: a lattice may be wrong in places."""
     xy, seen = shot.board_xy, measured.is_seen
     spacing_px = float(np.nanmedian(grid_spacing(measured.points_px.reshape(shape))))
-    expected = expected_points(xy, measured.points_px, spacing_px)
+    expected = expected_points(xy, measured.points_px, spacing_px, shot.size_wh)
     height, width = shot.image.shape
     expected[~((expected > 0) & (expected < [width - 1, height - 1])).all(axis=1)] = np.nan
     whole = np.where(seen[:, None], measured.points_px, expected).reshape(shape)
@@ -144,4 +149,4 @@ def _look_again(shot: BoardImage, level: SearchLevel, measured: _Measured, shape
     covariance = np.where(seen[:, None, None], measured.covariance_px2, of_found)
     cross = np.where(seen[:, None, None], measured.cross_covariance_px2, cross_of_found)
     points[are_faint(level, points, whole) & ~seen] = np.nan
-    return _Measured(_without_irregular(xy, points, spacing, MIN_SHARE_TO_LOOK_AGAIN), covariance, cross)
+    return _Measured(_without_irregular(shot, points, spacing, MIN_SHARE_TO_LOOK_AGAIN), covariance, cross)

@@ -58,7 +58,7 @@ def _with_line(
 ) -> tuple[float, Float[ndarray, "rows2 columns2 2"]] | None:
     """The contrast of the next line on a side, and the grid with it; None if no such line is seen."""
     wide = add_line(grid, side)
-    predicted = _predict_with_margin(grid, wide)
+    predicted = _predict_with_margin(grid, wide, (smooth.shape[1], smooth.shape[0]))
     if not np.isfinite(predicted).all():
         return None
     line = border_line(side)
@@ -77,14 +77,15 @@ def _with_line(
 
 
 def _predict_with_margin(
-    grid: Float[ndarray, "rows columns 2"], wide: Float[ndarray, "rows2 columns2 2"]
+    grid: Float[ndarray, "rows columns 2"], wide: Float[ndarray, "rows2 columns2 2"], size_wh: tuple[int, int]
 ) -> Float[ndarray, "rows3 columns3 2"]:
     """Where the corners of the wider grid should be by the smooth map through those seen, and a margin of one cell more."""
     rows, columns = wide.shape[:2]
     around = np.stack(np.meshgrid(np.arange(-1, columns + 1), np.arange(-1, rows + 1)), axis=-1)
     known = np.pad(wide, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     step = float(np.nanmedian(np.linalg.norm(np.diff(grid, axis=0), axis=-1)))
-    return expected_points(around.reshape(-1, 2).astype(float), known.reshape(-1, 2), step).reshape(known.shape)
+    places = around.reshape(-1, 2).astype(float)
+    return expected_points(places, known.reshape(-1, 2), step, size_wh).reshape(known.shape)
 
 
 def _relative_contrast(

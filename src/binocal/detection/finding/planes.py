@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy import ndarray
 
+from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
 from binocal.shapes import Float
 
 # The polynomial's degree from so many points on: a wild point must not bend it to itself.
 DEGREE_BY_POINTS = ((40, 3), (20, 2), (12, 1))
+MIN_POINTS = 4  # of a homography
+N_FOR_WHOLE_LENS = 20  # below it the lens is one number: six would follow a stray
 BIWEIGHT_CUT = 4.7  # Tukey's constant: 95 % of least squares' efficiency on Gaussian noise
 TOLERANCE_PX = 0.3  # what sub-pixel noise may do anyway
 TOLERANCE_PER_SPACING = 0.05  # a fit that is extrapolated keeps a part of the points that a shadow shifted a little
@@ -32,44 +33,35 @@ def grid_residuals(
     All infinite where the plane would be folded or seen from behind.
     """
     fitted = _fit_smooth(board_xy, points_px, n_rounds, tolerance_px)
-    return np.full(len(points_px), np.inf) if fitted is None else fitted[0]
+    return np.full(len(points_px), np.inf) if fitted is None else fitted
 
 
 def expected_points(
-    board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], spacing_px: float
+    board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], spacing_px: float, size_wh: tuple[int, int]
 ) -> Float[ndarray, "n 2"]:
-    """Where all points of a board should lie by the smooth image of the plane through those that are known, not NaN.
+    """Where all points of a board should lie by the plane and the image's lens through those that are known, not NaN.
 
-    NaN where that image is folded.
+    NaN where the plane would be seen from behind, and where the lens does not see a point.
     """
     seen = np.isfinite(points_px[:, 0])
     tolerance_px = max(TOLERANCE_PX, TOLERANCE_PER_SPACING * spacing_px)
-    fitted = _fit_smooth(board_xy[seen], points_px[seen], N_ROUNDS, tolerance_px)
-    return np.full(board_xy.shape, np.nan) if fitted is None else fitted[1].apply(board_xy)
+    options = LensFitOptions(tolerance_px, is_robust=True, has_one_unknown=bool(seen.sum() < N_FOR_WHOLE_LENS))
+    lens = fit_image_lens(board_xy[seen], points_px[seen], size_wh, options, places_xy=board_xy)
+    return np.full(board_xy.shape, np.nan) if lens is None else lens.images_px
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _SmoothMap:
-    """Plane to image: a homography and, where ``coefficients`` are given, a polynomial for the lens."""
-
-    centre: Float[ndarray, "2"]
-    scale: float
-    H: Float[ndarray, "3 3"]
-    powers: list[tuple[int, int]]
-    coefficients: Float[ndarray, "t 2"] | None
-
-    def apply(self, places: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-        """The places' image."""
-        at = (places - self.centre) / self.scale
-        homogeneous = np.column_stack([at, np.ones(len(at))]) @ self.H.T
-        points = homogeneous[:, :2] / homogeneous[:, 2:]
-        return points if self.coefficients is None else points + _terms(at, self.powers) @ self.coefficients
+def determine_plane(board_xy: Float[ndarray, "n 2"]) -> bool:
+    """Whether points of a plane determine its homography: four of them with no three on a line."""
+    if len(board_xy) < MIN_POINTS:
+        return False
+    xy = (board_xy - board_xy.mean(axis=0)) / (board_xy.std() or 1.0)
+    return bool(np.isfinite(fit_homography(xy, xy)).all())
 
 
 def _fit_smooth(
     board_xy: Float[ndarray, "n 2"], points_px: Float[ndarray, "n 2"], n_rounds: int, tolerance_px: float
-) -> tuple[Float[ndarray, "n"], _SmoothMap] | None:
-    """Residuals, and the smooth image of the plane; see :func:`grid_residuals`. None where it would be folded."""
+) -> Float[ndarray, "n"] | None:
+    """Residuals; see :func:`grid_residuals`. None where the plane would be folded."""
     n = len(points_px)
     centre, scale = board_xy.mean(axis=0), np.abs(board_xy - board_xy.mean(axis=0)).max() or 1.0
     xy = (board_xy - centre) / scale
@@ -78,7 +70,6 @@ def _fit_smooth(
     # Constant and linear terms too: the homography minimises an algebraic error and leaves some of them.
     powers = [(a, b - a) for b in range(degree + 1) for a in range(b + 1)]
     basis = _terms(xy, powers) if degree else None
-    H, coefficients = np.full((3, 3), np.nan), None
     for _ in range(n_rounds):
         H = fit_homography(xy, points_px, weight)
         homogeneous = np.column_stack([xy, np.ones(n)]) @ H.T
@@ -95,7 +86,7 @@ def _fit_smooth(
         residual = np.linalg.norm(off, axis=1)
         cut = BIWEIGHT_CUT * max(1.4826 * float(np.median(residual)) / 1.1774, 1e-6) + tolerance_px
         weight = np.clip(1 - (residual / cut) ** 2, 0, 1) ** 2 + 1e-9
-    return residual, _SmoothMap(centre, scale, H, powers, coefficients)
+    return residual
 
 
 def _terms(xy: Float[ndarray, "n 2"], powers: list[tuple[int, int]]) -> Float[ndarray, "n t"]:

@@ -46,6 +46,12 @@ class SearchLevel:
     linked_px: Float[ndarray, "n 2"]
     """The largest group of linked corners, in the image's pixels."""
 
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height of this image, pixels."""
+        height, width = self.saddles.smooth.shape
+        return width, height
+
     def from_image(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Points of the image in this one."""
         return points @ self.matrix[:, :2].T + self.matrix[:, 2]
