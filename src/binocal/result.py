@@ -361,4 +361,4 @@ class StereoCalibration:
     def baseline_sigma_m(self) -> float:
         """Standard deviation of the baseline, metres (board pitches without a scale); NaN where unknown."""
         along = self.rig.T_right_left.t / self.rig.baseline_m
-        return float(np.sqrt(along @ self.covariance.block("translation") @ along))
+        return float(np.sqrt(np.maximum(along @ self.covariance.block("translation") @ along, 0.0)))

@@ -137,13 +137,16 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     matches = _matches(source, options)
     matched = time.perf_counter()
     old = source.rig.T_right_left if options.from_old_rig else None
-    length, said = options.baseline_m, "--baseline"
-    if length is None:
-        length, said = (source.rig.baseline_m, source.length_from) if source.rig.is_metric else (None, "nothing")
+    length, sigma_m, said = options.baseline_m, 0.0, "--baseline"
+    if length is None and source.rig.is_metric:
+        length, sigma_m, said = source.rig.baseline_m, _baseline_sigma_m(source), source.length_from
+    elif length is None:
+        said = "nothing: lengths are in baselines"
     request = NaturalRequest(
         cameras,
         old,
         length,
+        sigma_m,
         said,
         source.intrinsics,
         lambda found: estimate_relative_pose(cameras, found.left_px, found.right_px),
@@ -156,6 +159,14 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     return NaturalRun(
         calibration, row_figures(source.rig, right), row_figures(calibration.rig, right), drift, right, elapsed
     )
+
+
+def _baseline_sigma_m(source: NaturalSource) -> float:
+    """What the rig's file says of the length of its translation; 0 where it says nothing."""
+    if source.covariance is None or "translation.x" not in source.covariance.names:
+        return 0.0
+    along = source.rig.T_right_left.t / source.rig.baseline_m
+    return float(np.sqrt(max(along @ source.covariance.block("translation") @ along, 0.0)))
 
 
 def _matches(source: NaturalSource, options: NaturalOptions) -> PointMatches:
@@ -288,7 +299,7 @@ def load_given_rig(path: Path) -> StereoCalibration:
     Raises:
         DataError: It cannot be read.
     """
-    if rig_json.is_rig_file(path):
+    if rig_json.holds_calibration(path):
         return rig_json.read_calibration(path)
     rig = load_rig(path)
     nothing = Covariance((), np.zeros((0, 0)))

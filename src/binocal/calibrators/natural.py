@@ -8,7 +8,7 @@ The length of the translation is never told by matches.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
@@ -69,6 +69,7 @@ class NaturalRequest:
     cameras: tuple[Camera, Camera]
     old: SE3 | None = None
     baseline_m: float | None = None
+    baseline_sigma_m: float = 0.0
     length_from: str = "nothing: lengths are in baselines"
     intrinsics: Covariance | None = None
     guess: Callable[[PointMatches], SE3 | None] | None = None
@@ -329,6 +330,7 @@ def _calibration(
     to_rig[len(names) : len(names) + 3, :3] = np.eye(3)
     to_rig[len(names) + 3 :, 3:5] = basis
     full = to_rig @ covariance @ to_rig.T
+    full[-3:, -3:] += request.baseline_sigma_m**2 * np.outer(estimate.t, estimate.t)
     told = [i for i, name in enumerate(names) if full[i, i] > 0] + list(range(len(names), len(names) + 6))
     all_names = (*names, *(f"rotation.{a}" for a in "xyz"), *(f"translation.{a}" for a in "xyz"))
     return StereoCalibration(
@@ -348,8 +350,3 @@ def _calibration(
             "intrinsics_sigma": "rig file" if request.intrinsics is not None else "assumed",
         },
     )
-
-
-def with_length(request: NaturalRequest, baseline_m: float, source: str) -> NaturalRequest:
-    """The request with a known length of the translation."""
-    return replace(request, baseline_m=baseline_m, length_from=source)

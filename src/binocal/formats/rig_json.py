@@ -201,11 +201,22 @@ def write_rig(path: str | Path, rig: StereoRig, *, force: bool = False) -> None:
 
 def is_rig_file(path: str | Path) -> bool:
     """Whether the file is binocal's by what it says of itself: a JSON object with the key ``schema`` and a known start."""
+    value = _peek(path)
+    return str(value.get("schema", "")).startswith(SCHEMA.partition("/")[0] + "/")
+
+
+def holds_calibration(path: str | Path) -> bool:
+    """Whether a file of binocal's says how the rig was calibrated, not only what it is."""
+    return is_rig_file(path) and "sigma" in _peek(path)
+
+
+def _peek(path: str | Path) -> dict[str, Any]:
+    """The file's JSON object, empty where it is none."""
     try:
         value = json.loads(read_file(path, most_bytes=MOST_TEXT_BYTES), parse_int=parse_whole)
     except (FormatError, ValueError, RecursionError):
-        return False
-    return isinstance(value, dict) and str(value.get("schema", "")).startswith(SCHEMA.partition("/")[0] + "/")
+        return {}
+    return value if isinstance(value, dict) else {}
 
 
 def write_truth(path: str | Path, truth: Truth, *, force: bool = False) -> None:

@@ -1,0 +1,155 @@
+"""From images without a board to a rig, a verdict and an exit code; real data sets where they are at hand."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from binocal.app import natural
+from binocal.cameras import Camera, StereoRig
+from binocal.cli import main
+from binocal.errors import DataError
+from binocal.formats import rig_json
+from binocal.geometry import SE3, so3
+from streets import render
+
+SIZE = (480, 360)
+T = SE3(so3.exp(np.radians([0.4, -0.7, 0.3])), np.array([-0.25, 0.002, -0.004]))
+
+
+def camera(shift=0.0):
+    return Camera("brown4", SIZE, np.array([330.0, 331, 240 + shift, 179, 0, -0.18, 0.04, 5e-4, -4e-4]))
+
+
+RIG = StereoRig(camera(), camera(2.0), T)
+
+
+def turned(deg, axis=0):
+    return StereoRig(RIG.left, RIG.right, SE3(so3.exp(np.radians(deg) * np.eye(3)[axis]) @ T.R, T.t))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("street")
+    for k in range(2):
+        T_left_world = SE3(so3.exp(np.radians([0.0, 6.0 * k, 0.0])), np.array([0.3 * k, 0.0, 0.0]))
+        cv2.imwrite(str(path / f"left_{k}.png"), render(RIG.left, T_left_world))
+        cv2.imwrite(str(path / f"right_{k}.png"), render(RIG.right, T @ T_left_world))
+    rig_json.write_rig(path / "true.json", RIG)
+    rig_json.write_rig(path / "turned.json", turned(1.0))
+    return path
+
+
+def run(*arguments):
+    try:
+        return main([str(a) for a in arguments])
+    except SystemExit as error:
+        return error.code
+
+
+def sources(folder):
+    return ["--left", folder / "left_*.png", "--right", folder / "right_*.png"]
+
+
+def test_a_turned_rig_comes_back(folder, tmp_path, capsys):
+    output = tmp_path / "new.json"
+    assert run("recalibrate", *sources(folder), "--rig", folder / "turned.json", "--output", output, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    new = rig_json.read_calibration(output)
+    assert np.degrees(so3.angle_rad(new.rig.T_right_left.R @ T.R.T)) < 0.05
+    assert new.rig.baseline_m == pytest.approx(RIG.baseline_m)
+    assert document["drift"]["pitch_deg"] == pytest.approx(-1.0, abs=0.05) and document["drift"]["has_drifted"]
+    assert document["rows"]["best"]["median_px"] < 0.15 < document["rows"]["given"]["median_px"]
+    assert document["provenance"]["length_from"] == "the old rig"
+
+
+def test_without_an_old_pose_and_with_a_baseline(folder, tmp_path):
+    output = tmp_path / "new.json"
+    arguments = ("--rig", folder / "turned.json", "--start", "none", "--baseline", "300mm", "--output", output)
+    assert run("recalibrate", *sources(folder), *arguments) == 0
+    new = rig_json.read_calibration(output)
+    assert np.degrees(so3.angle_rad(new.rig.T_right_left.R @ T.R.T)) < 0.05
+    assert new.rig.baseline_m == pytest.approx(0.3) and new.provenance["length_from"] == "--baseline"
+
+
+def test_check_says_whether_the_rig_has_turned(folder, capsys):
+    assert run("check", *sources(folder), "--rig", folder / "true.json") == 0
+    assert capsys.readouterr().out.startswith("fine: ")
+    assert run("check", *sources(folder), "--rig", folder / "turned.json") == 4
+    out = capsys.readouterr().out
+    assert out.startswith("drifted: pitch is -1.0") and "Depth" in out and "Rows" in out
+
+
+def test_a_reference_is_what_check_compares_with(folder, tmp_path, capsys):
+    """A published rig that is itself off is fine against its own recalibration, until it turns from there."""
+    held = tmp_path / "held.json"
+    assert run("recalibrate", *sources(folder), "--rig", folder / "turned.json", "--reference", "--output", held) == 0
+    assert np.allclose(rig_json.read_rig(held).T_right_left.R, turned(1.0).T_right_left.R)
+    capsys.readouterr()
+    assert run("check", *sources(folder), "--rig", held, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["drift"]["against"] == "the file's own reference"
+    damaged = json.loads(held.read_text())
+    damaged["reference"]["R"] = [[1, 0], [0, 1]]
+    held.write_text(json.dumps(damaged))
+    assert run("check", *sources(folder), "--rig", held) == 3
+    assert "reference is damaged" in capsys.readouterr().err
+
+
+def test_wrong_images_are_named(folder, tmp_path, capsys):
+    black = np.zeros(SIZE[::-1], np.uint8)
+    for grey, side in enumerate(("left", "right")):
+        cv2.imwrite(str(tmp_path / f"{side}_0.png"), black + np.uint8(grey))
+    assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 3
+    assert "points" in capsys.readouterr().err
+    for grey, side in enumerate(("left", "right")):
+        cv2.imwrite(str(tmp_path / f"{side}_0.png"), black[:-10] + np.uint8(grey))
+    assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 3
+    assert "480x350 pixels, the rig's left camera has 480x360" in capsys.readouterr().err
+    two = tmp_path / "two"
+    two.mkdir()
+    for k, side in enumerate(("left", "right")):  # two scenes that have nothing in common
+        cv2.imwrite(str(two / f"{side}_0.png"), render(RIG.left, SE3(np.eye(3), np.zeros(3)), seed=5 + k))
+    assert run("check", *sources(two), "--rig", folder / "true.json") == 3
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_frames_that_tell_most_are_chosen(folder):
+    source = natural.source_of_images(
+        str(folder / "left_*.png"), str(folder / "right_*.png"), natural.load_given_rig(folder / "true.json")
+    )
+    run_of_one = natural.recalibrate(source, natural.NaturalOptions(max_pairs=1))
+    assert len(run_of_one.calibration.views) == 1
+    with pytest.raises(DataError, match="no pairs"):
+        natural.recalibrate(natural.NaturalSource([], RIG))
+
+
+def test_euroc_from_any_one_pair(data_dir):
+    """Rotation within 0.05 deg and direction within 0.6 deg of sensor.yaml, within three stated standard deviations."""
+    yaml = pytest.importorskip("yaml")
+    mav = data_dir / "euroc_micro" / "mav0"
+    cameras, poses = [], []
+    for name in ("cam0", "cam1"):
+        text = (mav / name / "sensor.yaml").read_text().replace("%YAML:1.0", "")
+        sensor = yaml.safe_load(text)
+        fu, fv, cu, cv = sensor["intrinsics"]
+        K = np.array([[fu, 0, cu], [0, fv, cv], [0, 0, 1]])
+        cameras.append(Camera.from_opencv(K, np.array(sensor["distortion_coefficients"]), tuple(sensor["resolution"])))
+        poses.append(np.array(sensor["T_BS"]["data"]).reshape(4, 4))
+    M = np.linalg.inv(poses[1]) @ poses[0]
+    truth = SE3(so3.project_to_rotation(M[:3, :3]), M[:3, 3])
+    rig = StereoRig(*cameras, truth)
+    names = sorted(path.name for path in (mav / "cam0" / "data").glob("*.png"))[::5]
+    for name in names:
+        pair = natural.NaturalPair(name, mav / "cam0" / "data" / name, mav / "cam1" / "data" / name)
+        found = natural.recalibrate(natural.NaturalSource([pair], rig), natural.NaturalOptions(from_old_rig=False))
+        new, sigma = found.calibration.rig.T_right_left, found.calibration.covariance.sigma
+        turn = so3.log(new.R @ truth.R.T)
+        cosine = new.t @ truth.t / np.linalg.norm(new.t) / np.linalg.norm(truth.t)
+        assert np.degrees(np.linalg.norm(turn)) < 0.05  # measured 0.021 to 0.036
+        assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.6  # measured 0.02 to 0.37
+        assert np.abs(turn / [sigma[f"rotation.{a}"] for a in "xyz"]).max() < 3
+        assert found.after.median_px < 0.1
