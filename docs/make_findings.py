@@ -248,6 +248,35 @@ EXPLANATIONS = {
     "view-reordered": """
         The corner order of one camera was a symmetry of the board against the other camera's. It was put right; corner
         numbers in the result are those of the repaired order.""",
+    "dataset-kind-unknown": """
+        A data set is named by its kind, a colon and its folder; some take a choice after another colon. [Data
+        sets](../how-to/datasets.md) lists them.""",
+    "dataset-layout-unknown": """
+        The folders or names that the kind of data set has are not there: the path is a level too high or too low, it is another
+        kind of data, or the archives were rearranged. [Data sets](../how-to/datasets.md) draws each layout.""",
+    "dataset-part-not-chosen": """
+        Drives and sequences of different days have different calibrations, so none is taken by chance.""",
+    "dataset-side-missing": """
+        Most data sets are published as one archive per camera; a pair needs both.""",
+    "dataset-calibration-missing": """
+        The calibration is often an archive of its own. Without it a data set has no cameras; as `folder:PATH` its images can be read
+        alone.""",
+    "dataset-calibration-broken": """
+        The sentence names the file and, where it can, the line. What is checked: that every entry that is needed is there once and has
+        as many numbers as it should, that rotations are rotations to the digits printed, that a camera's focal length and principal
+        point belong to its image, that the baseline is one that a stereo camera has (5 mm to 5 m), and that redundant entries agree.""",
+    "dataset-frames-unmatched": """
+        KITTI and Cityscapes are published with every image of both cameras, so an image without its partner means that an
+        archive is missing or was unpacked in part. Images matched by time are left out instead, unless none match.""",
+    "dataset-image-size-differs": """
+        A calibration holds for the size of image that it was made with. Images that were resized need another focal length, cropped
+        ones another principal point; rectified images with the calibration of raw ones give a wrong rig without any other sign.""",
+    "dataset-has-several-rigs": """
+        Cityscapes, KITTI's stereo and object sets and Middlebury have a calibration per image, which changes between recordings.
+        Pairs of different rigs must not be pooled. `Dataset.by_rig()` gives the parts that have one rig each, the largest first.""",
+    "dataset-frames-left-out": """
+        Cameras drop images now and then. A pair is made where two times are each other's nearest and no more than half a period
+        apart; in plain folders, where names agree. The rest is listed in `Dataset.ignored`.""",
 }
 
 

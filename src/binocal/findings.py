@@ -292,6 +292,52 @@ _KINDS = (
         "check that the pairs are simultaneous, that the rig is rigid, and that both cameras number the same board alike",
         InconsistentViewsError,
     ),
+    # --- data sets
+    FindingKind(
+        "dataset-kind-unknown", _R, "A data set is not named as KIND:PATH",
+        "{given!r} names no data set: the kinds are {kinds}; {remedy}.",
+        "write KIND:PATH, such as kitti:PATH or euroc:PATH", DataError,
+    ),
+    FindingKind(
+        "dataset-layout-unknown", _R, "A folder is not laid out as the data set is",
+        "{path} is not laid out as {kind} data: {problem}; {remedy}.",
+        "name the folder as the data set's own archives unpack it", DataError,
+    ),
+    FindingKind(
+        "dataset-part-not-chosen", _R, "A folder holds several parts of a data set",
+        "{path} holds {n_parts} drives or sequences ({names}); {remedy}.",
+        "name one of them", DataError,
+    ),
+    FindingKind(
+        "dataset-side-missing", _R, "One camera's images are missing",
+        "the {side} images are missing: {path}: {problem}; {remedy}.",
+        "unpack that camera's archive into the same folder", DataError,
+    ),
+    FindingKind(
+        "dataset-calibration-missing", _R, "A calibration file of a data set is missing",
+        "the calibration is missing: there is no {path}; {remedy}.",
+        "unpack the data set's calibration archive into the same folder", DataError,
+    ),
+    FindingKind(
+        "dataset-calibration-broken", _R, "A calibration file of a data set is damaged",
+        "{where}: {problem}; {remedy}.",
+        "unpack the file again from the data set's archive", DataError,
+    ),
+    FindingKind(
+        "dataset-frames-unmatched", _R, "Images of one camera have no partner of the other",
+        "{n_unmatched} of {n_left} left and {n_right} right images have no partner ({names}): {first} has none in {place}; {remedy}.",
+        "unpack both cameras' archives completely", DataError,
+    ),
+    FindingKind(
+        "dataset-image-size-differs", _R, "An image has another size than its calibration",
+        "{path} has {width_px}x{height_px} pixels, {source} is for {calibrated}; {remedy}.",
+        "use the images as published, not resized or cropped, with their own calibration", DataError,
+    ),
+    FindingKind(
+        "dataset-has-several-rigs", _R, "The pairs of a data set are of several rigs",
+        "the {n_pairs} pairs of {path} are of {n_rigs} different rigs; {remedy}.",
+        "name a part with one calibration, or take the parts of Dataset.by_rig() one by one", DataError,
+    ),
     # --- a result with a weakness
     FindingKind(
         "focal-length-uncertain", _W, "A focal length is poorly known",
@@ -416,6 +462,11 @@ _KINDS = (
     FindingKind(
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",
         "camera model: {reason}.", "",
+    ),
+    FindingKind(
+        "dataset-frames-left-out", _W, "Some images of a data set have no partner and were left out",
+        "{n_out} images have no partner and were left out ({names}); {n_pairs} pairs are left; {remedy}.",
+        "check that both cameras' images are complete",
     ),
     FindingKind(
         "board-not-as-drawn", _N, "The board is bent or badly printed, and was measured along with the rig",

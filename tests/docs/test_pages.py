@@ -156,7 +156,8 @@ def commands() -> list[list[str]]:
 EXAMPLES = [
     (path, i) for path in PAGES if path.parent.name in ("docs", "how-to") for i, _ in enumerate(blocks(path, "python"))
 ]
-EXAMPLES = [(path, i) for path, i in EXAMPLES if path.name != "extending.md"]  # tests/test_extending.py runs those
+ELSEWHERE = {"extending.md", "datasets.md"}  # tests/test_extending.py and tests/datasets run those
+EXAMPLES = [(path, i) for path, i in EXAMPLES if path.name not in ELSEWHERE]
 
 
 @pytest.mark.slow

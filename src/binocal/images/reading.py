@@ -7,6 +7,7 @@ So the container's own structure is walked first (:mod:`binocal.images.container
 from __future__ import annotations
 
 import hashlib
+import struct
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -69,6 +70,24 @@ def read_stored_image(path: str | PathLike[str]) -> StoredImage:
     grey = to_grey(_decode(Path(path), content, as_grey=True))
     n_pages = count_pages(content) if identify_container(content) == "TIFF" else 1
     return StoredImage(grey, hashlib.sha256(content).hexdigest(), n_pages)
+
+
+def read_image_size(path: str | PathLike[str]) -> tuple[int, int]:
+    """Width and height of an image file, pixels; of a PNG from its first bytes, which are all that is read.
+
+    Raises:
+        FormatError: As in :func:`read_image`, of a PNG only where the file is missing or has no header.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(24)
+    except OSError:
+        head = b""  # reading the whole says what is wrong
+    if len(head) == 24 and identify_container(head) == "PNG" and head[12:16] == b"IHDR":
+        width, height = struct.unpack(">II", head[16:24])
+        return width, height
+    height, width = read_grey_image(path).shape
+    return width, height
 
 
 def to_grey(image: Image) -> GreyImage:
