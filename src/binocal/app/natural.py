@@ -13,9 +13,11 @@ from numpy import ndarray
 
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
+from binocal.datasets import StereoPair, open_dataset
 from binocal.datasets.folder import list_pairs
 from binocal.errors import DataError
 from binocal.evidence.point_matches import PointMatches
+from binocal.findings import Finding
 from binocal.formats import rig_json
 from binocal.formats.rig_file import load_rig
 from binocal.geometry import SE3, so3
@@ -38,15 +40,6 @@ REFERENCE = "reference"
 """Where a rig file holds its own result of ``recalibrate``."""
 
 
-@dataclass(frozen=True, slots=True)
-class NaturalPair:
-    """Two images of one moment."""
-
-    name: str
-    left_path: Path
-    right_path: Path
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class NaturalSource:
     """Pairs and what is known of the rig that took them.
@@ -55,11 +48,13 @@ class NaturalSource:
     :data:`REFERENCE`.
     """
 
-    pairs: Sequence[NaturalPair]
+    pairs: Sequence[StereoPair]
     rig: StereoRig
     covariance: Covariance | None = None
     reference: Mapping[str, Any] | None = None
     length_from: str = "the old rig"
+    findings: tuple[Finding, ...] = ()
+    """What the data set has to say of its files."""
 
     @property
     def intrinsics(self) -> Covariance | None:
@@ -153,6 +148,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         options.seed,
     )
     calibration = calibrate_from_matches(matches, request)
+    calibration = replace(calibration, findings=(*calibration.findings, *source.findings))
     right = _right_matches(cameras, calibration, matches)
     drift = _drift(calibration, source)
     elapsed = {"matching": matched - started, "solve": time.perf_counter() - matched}
@@ -306,6 +302,22 @@ def load_given_rig(path: Path) -> StereoCalibration:
     return StereoCalibration(rig, nothing, ResidualSummary(np.nan, np.nan, np.nan), np.nan, ())
 
 
+def source_of_dataset(text: str, given: StereoCalibration | None) -> NaturalSource:
+    """Pairs of a data set (``KIND:PATH``), with its own cameras unless a rig is given; of several rigs that of most pairs.
+
+    Raises:
+        DataError: Its layout is broken, or neither it nor a rig says what its cameras are.
+    """
+    part = open_dataset(text).by_rig()[0]
+    if given is not None:
+        return NaturalSource(
+            part.stereo_pairs, given.rig, given.covariance, given.extra.get(REFERENCE), findings=part.findings
+        )
+    if part.rig is None:
+        raise DataError(f"{part.path}: nothing says what cameras took these images; give the rig with --rig.")
+    return NaturalSource(part.stereo_pairs, part.rig, length_from=part.scale_source, findings=part.findings)
+
+
 def source_of_images(left: str, right: str, given: StereoCalibration) -> NaturalSource:
     """Pairs of two globs or folders.
 
@@ -313,5 +325,5 @@ def source_of_images(left: str, right: str, given: StereoCalibration) -> Natural
         DataError: There are none.
     """
     pairing = list_pairs(left, right)
-    pairs = [NaturalPair(pair.name, pair.left_path, pair.right_path) for pair in pairing.pairs]
+    pairs = [StereoPair(pair.name, pair.left_path, pair.right_path) for pair in pairing.pairs]
     return NaturalSource(pairs, given.rig, given.covariance, given.extra.get(REFERENCE))

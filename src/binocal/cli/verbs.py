@@ -375,8 +375,23 @@ def evaluate(
     return FINE
 
 
+Dataset = Annotated[
+    str | None,
+    typer.Option(
+        "--dataset",
+        help="Pairs and cameras of a data set as it is unpacked, in place of --left and --right: kitti:PATH, cityscapes:PATH, "
+        "euroc:PATH, middlebury:PATH.",
+        metavar="KIND:PATH",
+    ),
+]
+SomeLeft = Annotated[
+    str | None, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")
+]
+SomeRight = Annotated[
+    str | None, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")
+]
 OldRig = Annotated[
-    Path,
+    Path | None,
     typer.Option(
         "--rig", help="The rig whose cameras took the images: rig.json, or OpenCV's file.", metavar="RIG.JSON"
     ),
@@ -395,9 +410,10 @@ class Starts(enum.StrEnum):
 
 @app.command()
 def recalibrate(
-    left: Left,
-    right: Right,
-    rig: OldRig,
+    left: SomeLeft = None,
+    right: SomeRight = None,
+    dataset: Dataset = None,
+    rig: OldRig = None,
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "new.json"
     ),
@@ -430,12 +446,13 @@ def recalibrate(
 
     length_m = _parse_length(baseline)
     check_output(output, force=force)
-    given = natural.load_given_rig(rig)
-    source = natural.source_of_images(left, right, given)
+    given, source = _natural_source(left, right, dataset, rig)
+    if reference and given is None:
+        raise typer.BadParameter("--reference keeps the rig as given: give --rig with a rig.json.")
     with progress_on_terminal() as progress:
         options = natural.NaturalOptions(start is Starts.rig, length_m, max_pairs, seed, progress)
         run = natural.recalibrate(source, options)
-    written = natural.with_reference(given, run) if reference else run.calibration
+    written = natural.with_reference(given, run) if reference and given is not None else run.calibration
     rig_json.write_calibration(output, written, force=force)
     kept = ", the rig as given with this result as its reference" if reference else ""
     _present(texts.run_document(run, output=str(output)), texts.recalibrate_text(run, output, kept), json)
@@ -444,9 +461,10 @@ def recalibrate(
 
 @app.command()
 def check(
-    left: Left,
-    right: Right,
-    rig: OldRig,
+    left: SomeLeft = None,
+    right: SomeRight = None,
+    dataset: Dataset = None,
+    rig: OldRig = None,
     max_pairs: MaxPairs = 20,
     seed: Seed = 0,
     threads: Threads = None,
@@ -457,7 +475,7 @@ def check(
     from binocal.cli import natural as texts
     from binocal.cli.progress import progress_on_terminal
 
-    source = natural.source_of_images(left, right, natural.load_given_rig(rig))
+    _, source = _natural_source(left, right, dataset, rig)
     with progress_on_terminal() as progress:
         run = natural.recalibrate(source, natural.NaturalOptions(max_pairs=max_pairs, seed=seed, progress=progress))
     _present(texts.check_document(run), texts.check_text(run), json)
@@ -622,6 +640,20 @@ def _parse_length(text: str | None) -> float | None:
     if not is_metric:
         raise typer.BadParameter(f"--baseline {text} needs a unit: mm, cm, m or in.")
     return length_m
+
+
+def _natural_source(left: str | None, right: str | None, dataset: str | None, rig: Path | None) -> Any:
+    """The calibration of ``--rig``, if there is one, and the pairs with their rig."""
+    from binocal.app import natural
+
+    if (dataset is None) == (left is None and right is None) or (left is None) != (right is None):
+        raise typer.BadParameter("give either --dataset, or --left and --right together.")
+    given = None if rig is None else natural.load_given_rig(rig)
+    if dataset is not None:
+        return given, natural.source_of_dataset(dataset, given)
+    if given is None:
+        raise typer.BadParameter("images alone do not say what cameras took them: give --rig.")
+    return given, natural.source_of_images(str(left), str(right), given)
 
 
 def _parse_board(spec: str) -> Any:
