@@ -36,6 +36,12 @@ def _detection(**options: Any) -> dict[str, Any]:
     return run_detection_benchmark(**options)
 
 
+def _sound(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.sound import run_sound_benchmark
+
+    return run_sound_benchmark(**options)
+
+
 def _faults(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.faults import run_faults_benchmark
 
@@ -90,6 +96,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "rig": _rig,
     "scale": _scale,
     "solver": _solver,
+    "sound": _sound,
     "training": _training,
 }
 
