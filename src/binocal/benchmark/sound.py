@@ -119,7 +119,8 @@ def _long_set(rng: np.random.Generator) -> tuple[StereoRig, Detections]:
     distance_m = focal_px / size[0] * 0.18 * rng.uniform(1.2, 2.0)
     baseline_m = rng.uniform(0.006, 0.03) * distance_m
     turn = so3.exp(rng.normal(0, 0.03 * size[0] / focal_px, 3) + [0, baseline_m / distance_m, 0])
-    rig = StereoRig(*(_long_camera(rng, size, focal_px) for _ in range(2)), SE3(turn, -turn @ [baseline_m, 0, 0]))
+    left, right = _long_camera(rng, size, focal_px), _long_camera(rng, size, focal_px)
+    rig = StereoRig(left, right, SE3(turn, -turn @ [baseline_m, 0, 0]))
     points, pixels = board.object_points_m, ([], [])
     while len(pixels[0]) < N_VIEWS:
         axis, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(10, 45))
