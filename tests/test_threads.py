@@ -80,7 +80,7 @@ def test_a_wrong_number_is_named(monkeypatch, text):
         binocal.set_threads(text)
     monkeypatch.setenv(threads.VARIABLE, text)
     threads.set_threads(None)
-    with pytest.raises(ValueError, match=f"BINOCAL_THREADS must be a whole number of 1 or more; got '{text}'"):
+    with pytest.raises(ValueError, match=f"BINOCAL_THREADS must be a whole number between 1 and 4096; got '{text}'"):
         threads.n_threads()
 
 
@@ -110,4 +110,4 @@ def test_the_command_line_sets_it_and_names_a_wrong_one(monkeypatch, capsys, tmp
     threads.set_threads(None)
     monkeypatch.setenv(threads.VARIABLE, "all")
     assert main([*simulate, "--force"]) == 2
-    assert "BINOCAL_THREADS must be a whole number of 1 or more; got 'all'" in capsys.readouterr().err
+    assert "BINOCAL_THREADS must be a whole number between 1 and 4096; got 'all'" in capsys.readouterr().err

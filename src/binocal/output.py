@@ -28,6 +28,8 @@ except ImportError:  # Windows: parts are not locked there, and those of killed 
 Content = str | bytes | memoryview
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # Linux's <fcntl.h> and renameat2(2)
 
+MOST_TRIES = 50  # for a part that nobody else takes for stale; some folders refuse every new name as missing
+
 
 def check_output(path: str | Path, *, force: bool = False) -> Path:
     """The path as a :class:`Path`, once it is known that a result may be written there; its folder is made if missing.
@@ -223,7 +225,7 @@ def _part_folder(output: Path) -> Iterator[Path]:
 def _locked_part(path: Path, make: Callable[[Path], None]) -> tuple[Path, int | None]:
     """A new part of an output, and the lock that says that its process lives. Parts that nobody holds are removed before."""
     _remove_stale_parts(path)
-    while True:
+    for _ in range(MOST_TRIES):
         part = path.with_name(f".{_part_stem(path)}.{secrets.token_hex(4)}.part")
         try:
             add_part(part.absolute())
@@ -238,6 +240,7 @@ def _locked_part(path: Path, make: Callable[[Path], None]) -> tuple[Path, int | 
         if lock is None or _is_still_there(part, lock):
             return part, lock
         _release(lock)
+    raise OutputError(path, "its folder takes no new files")
 
 
 def _remove_stale_parts(path: Path) -> None:

@@ -17,6 +17,8 @@ _OWN_CGROUPS = Path("/proc/self/cgroup")
 
 _chosen: int | None = None
 
+MOST_THREADS = 4096
+
 
 def n_threads() -> int:
     """Threads that binocal uses at most.
@@ -52,8 +54,8 @@ def _checked(n: int | str, what: str) -> int:
         number = int(n)
     except ValueError:
         number = 0
-    if number < 1 or number != float(n):
-        raise ValueError(f"{what} must be a whole number of 1 or more; got {n!r}")
+    if not 1 <= number <= MOST_THREADS or number != float(n):
+        raise ValueError(f"{what} must be a whole number between 1 and {MOST_THREADS}; got {n!r}")
     return number
 
 

@@ -24,6 +24,7 @@ _EXAMPLES = (
 )
 
 MOST_POINTS = 40_000  # 200 x 200; a camera of 20 million pixels gives each a square of 22 pixels
+LEAST_PITCH_M = 1e-6  # gratings under microscopes are a few micrometres
 LARGEST_PITCH_M = (
     3.0  # the largest boards known have squares of half a metre; millimetres given as metres are far beyond
 )
@@ -69,6 +70,10 @@ class Board:
             raise ValueError(f"{size} is too large: it has more than {MOST_POINTS} points; give columns x rows")
         if not (np.isfinite(self.pitch_m) and self.pitch_m > 0):
             raise ValueError(f"board pitch must be positive; got {self.pitch_m} m")
+        if self.is_metric and self.pitch_m < LEAST_PITCH_M:
+            raise ValueError(
+                f"a board with a pitch of {self.pitch_m:g} m is not plausible (at least {LEAST_PITCH_M:g} m); check the unit of the length"
+            )
         if self.is_metric and self.pitch_m > LARGEST_PITCH_M:
             raise ValueError(
                 f"a board with a pitch of {self.pitch_m:g} m is not plausible (at most {LARGEST_PITCH_M:g} m); "

@@ -6,5 +6,6 @@ INTERRUPT_TEXT = "interrupted; no file was left half written."
 
 
 def one_line(text: str) -> str:
-    """The text without line breaks."""
-    return " ".join(str(text).split())
+    """The text without line breaks, and with what a terminal would take for a command written out."""
+    plain = " ".join(str(text).split())
+    return "".join(f"\\x{ord(c):02x}" if ord(c) < 32 or 127 <= ord(c) < 160 else c for c in plain)

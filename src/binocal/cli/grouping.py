@@ -14,7 +14,7 @@ MOST_LINES = 16  # beyond it, reasons that differ in their numbers alone share a
 
 def group_lines(verb: str, reasons: Iterable[tuple[str, str]]) -> list[str]:
     """``dropped 03: why`` for one name, ``dropped 12 (03, 04, ...): why`` for more, in the order in which reasons first come."""
-    given = [(name, one_line(reason)) for name, reason in reasons]
+    given = [(one_line(name), one_line(reason)) for name, reason in reasons]
     groups = _grouped(given, lambda reason: reason)
     if len(groups) > MOST_LINES:
         groups = _grouped(given, lambda reason: re.sub(r"\d+(\.\d+)?", "#", reason))

@@ -82,10 +82,20 @@ def _report_system(error: OSError | MemoryError, wants_json: bool) -> int:
     if isinstance(error, MemoryError):
         _report("no-memory", "there is not enough memory for it; use smaller or fewer images.", wants_json)
         return FAILED
-    name = "stdout" if error.filename is None else os.fsdecode(error.filename)
+    name = _where(error) if error.filename is None else os.fsdecode(error.filename)
     words = error.strerror or str(error)
     _report("system", f"{name if len(name) <= 200 else name[:160] + '…'}: {words}.", wants_json)
     return UNUSABLE_INPUT if error.filename is not None and error.errno in PATH_ERRORS else FAILED
+
+
+def _where(error: OSError) -> str:
+    """What an error without a file's name is about: the working folder, where that is gone, or stdout."""
+    if error.errno == errno.ENOENT:
+        try:
+            os.getcwd()
+        except OSError:
+            return "the working folder"
+    return "stdout"
 
 
 def error_code(error: BaseException) -> str:

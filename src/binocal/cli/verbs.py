@@ -100,6 +100,7 @@ Threads = Annotated[
         help="Threads to use (default: BINOCAL_THREADS, or all processors that the process may use).",
         metavar="N",
         min=1,
+        max=4096,
         callback=_use_threads,
         show_default=False,
     ),
@@ -253,6 +254,7 @@ def calibrate(
     outputs = {"--output": [output], "--evidence": [] if evidence is None else [evidence]}
     for path in (output, *outputs["--evidence"]):
         check_output(path, force=force)
+        _refuse_input_as_output(path, left, right)
     outputs["--opencv"] = [] if opencv is None else check_opencv_output(opencv, force=force)
     _check_distinct(outputs)
     known = _read_prior(prior, hold, model.value)
@@ -285,7 +287,7 @@ def calibrate(
 @app.command()
 def simulate(
     board: BoardSpec,
-    pairs: Annotated[int, typer.Option("--pairs", help="Number of image pairs.", metavar="N", min=1)],
+    pairs: Annotated[int, typer.Option("--pairs", help="Number of image pairs.", metavar="N", min=1, max=1_000_000)],
     output: Annotated[Path, typer.Option("--output", help="Folder for the images and truth.json.", metavar="DIR")],
     rig: Annotated[
         str, typer.Option("--rig", help="table2 (the paper's rig), a rig.json, or OpenCV's file.", metavar="NAME")
@@ -625,6 +627,19 @@ def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
         print_document(dump_json(jsonable(document)))
     else:
         print(text)
+
+
+def _refuse_input_as_output(path: Path, *sources: str) -> None:
+    """An output that is one of the images would replace it."""
+    if not path.exists():
+        return
+    import glob
+
+    for source in sources:
+        folder = Path(source)
+        found = folder.iterdir() if folder.is_dir() else map(Path, glob.iglob(source, recursive=True))
+        if any(entry.exists() and entry.samefile(path) for entry in found):
+            raise typer.BadParameter(f"{path} is one of the input images; give the output a name of its own.")
 
 
 def _parse_length(text: str | None) -> float | None:

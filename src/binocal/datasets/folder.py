@@ -183,8 +183,8 @@ def _drop_identical(pairs: list[ImagePair], ignored: dict[Path, str]) -> list[Im
     if pairs and not kept:
         first = pairs[0]
         raise DataError(
-            f"left and right are the same images (such as {first.left_path} and {first.right_path}); "
-            "name each camera's own images."
+            f"left and right are the same images (such as {first.left_path} and {first.right_path}): one file given twice, or both "
+            "black or white all over; name each camera's own images, and see that they show something."
         )
     return kept
 

@@ -1,0 +1,83 @@
+"""Options and places that nobody means: one line, the right exit code, nothing lost."""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+import numpy as np
+import pytest
+
+from binocal import output
+from binocal.boards import parse_board
+from binocal.cli import main
+from binocal.cli.exits import one_line
+from binocal.cli.grouping import group_lines
+from binocal.errors import OutputError
+from binocal.threads import set_threads
+
+
+def images(folder):
+    for k in range(3):
+        for grey, side in enumerate(("left", "right")):
+            cv2.imwrite(str(folder / f"{side}_{k}.png"), np.full((40, 50), 100 + 10 * k + grey, np.uint8))
+    return ["--left", str(folder / "left_*"), "--right", str(folder / "right_*"), "--board", "chessboard:9x6:30mm"]
+
+
+def test_an_output_that_is_an_input_is_refused(tmp_path, capsys):
+    given = images(tmp_path)
+    before = (tmp_path / "left_0.png").read_bytes()
+    assert main(["calibrate", *given, "--output", str(tmp_path / "left_0.png"), "--force"]) == 2
+    assert "is one of the input images" in capsys.readouterr().err
+    assert (tmp_path / "left_0.png").read_bytes() == before
+
+
+def test_a_folder_that_takes_no_new_files_ends_in_a_line(tmp_path, monkeypatch):
+    """Some folders answer every new name as if it were missing, and exist."""
+
+    def refuse(*args):
+        raise FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr(output.os, "mkdir", refuse)
+    with pytest.raises(OutputError, match="takes no new files"), output._part_folder(tmp_path / "new"):
+        pass
+
+
+@pytest.mark.parametrize("value", ["99999999999999999999999", "0", "-3"])
+def test_numbers_of_threads_are_bounded(value, capsys):
+    assert main(["demo", "--threads", value]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    with pytest.raises(ValueError, match="between 1 and 4096"):
+        set_threads(int(value))
+
+
+def test_pairs_are_bounded(capsys):
+    assert main(["simulate", "--board", "chessboard:4x3:30mm", "--pairs", "9" * 20, "--output", "never"]) == 2
+    assert not os.path.exists("never")
+
+
+@pytest.mark.parametrize("length", ["1e-300mm", "1e-9mm"])
+def test_boards_too_small_to_be_are_refused(length):
+    with pytest.raises(ValueError, match="not plausible"):
+        parse_board(f"chessboard:9x6:{length}")
+
+
+def test_names_reach_the_terminal_written_out():
+    assert one_line("a\nb\x1b[31m\x9b") == "a b\\x1b[31m\\x9b"
+    assert group_lines("dropped", [("a\nb\x1b[31m", "is an empty file")]) == ["dropped a b\\x1b[31m: is an empty file"]
+
+
+def test_images_that_show_nothing_are_not_called_one_file_alone(tmp_path, capsys):
+    for side in ("left", "right"):
+        for k in range(3):
+            cv2.imwrite(str(tmp_path / f"{side}_{k}.png"), np.zeros((40, 50), np.uint8))
+    arguments = [
+        "--left",
+        str(tmp_path / "left_*"),
+        "--right",
+        str(tmp_path / "right_*"),
+        "--board",
+        "chessboard:9x6:30mm",
+    ]
+    assert main(["calibrate", *arguments]) == 3
+    assert "black or white all over" in capsys.readouterr().err
