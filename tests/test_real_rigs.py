@@ -107,11 +107,22 @@ def test_a_room_of_boards_is_recognised(data_dir, board):
         app.calibrate_images(str(folder / "left*"), str(folder / "right*"), parse_board(board))
 
 
-def test_heat_maps_are_refused_view_by_view(data_dir):
-    folder = data_dir / "thermal_stereo_aditya" / "heatmap"
-    with pytest.raises(BinocalError, match=r"principal point|rotation between|not taken together") as caught:
-        app.calibrate_images(str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:7x6"))
-    assert len(caught.value.rejected) == 16 and all(caught.value.rejected.values())
+def test_heat_maps_give_the_rig_of_their_raw_images_with_doubt(data_dir):
+    """The same scenes as raw counts and as coloured heat maps: the blurred one agrees, and says how little it knows."""
+    folder, board = data_dir / "thermal_stereo_aditya", parse_board("chessboard:7x6")
+    raw = app.calibrate_images(
+        str(folder / "raw_csv_png" / "left"), str(folder / "raw_csv_png" / "right"), board
+    ).calibration
+    heat = app.calibrate_images(
+        str(folder / "heatmap" / "left*"), str(folder / "heatmap" / "right*"), board
+    ).calibration
+    codes = [finding.code for finding in heat.findings]
+    assert codes.count("focal-length-uncertain") == 2 and "exposures-apart" in codes
+    for side in ("left", "right"):
+        sigma_px = heat.covariance.sigma[f"{side}.fx"]
+        assert sigma_px > 5 * raw.covariance.sigma[f"{side}.fx"]
+        assert abs(getattr(heat.rig, side).K[0, 0] - getattr(raw.rig, side).K[0, 0]) < 2 * sigma_px
+    assert heat.rig.baseline_m == pytest.approx(raw.rig.baseline_m, rel=0.08)
 
 
 def test_the_same_corners_give_the_same_rig_twice(data_dir):
