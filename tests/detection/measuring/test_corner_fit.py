@@ -212,9 +212,5 @@ def test_wide_lenses_bias_no_exact_corner(degrees):
 @pytest.mark.parametrize("degrees", [60, 110, 150, 180, 200])
 def test_stated_covariances_hold_through_wide_lenses(degrees, spec, size_wh):
     radial, _, whitened = errors_through(degrees, spec, size_wh, 12, noise_dn=2.0, blur_px=0.8)
-    is_fitted = np.isfinite(whitened).all(axis=1)
-    # corners that a wide lens squeezes to a few pixels are given up: measured, 0.1 % at 180 degrees, 0.3 % at 200
-    assert is_fitted.mean() > (0.995 if degrees >= 150 else 0.9999)
-    fitted = whitened[is_fitted]
-    assert np.mean(fitted**2) == pytest.approx(1, abs=4 * np.sqrt(2 / fitted.size))
-    assert abs(radial[is_fitted].mean()) < 0.001
+    assert np.mean(whitened**2) == pytest.approx(1, abs=4 * np.sqrt(2 / whitened.size))
+    assert abs(radial.mean()) < 0.001

@@ -119,6 +119,21 @@ struct BoardPlaces {
     double pitch;      // of its lines, in the same unit; 0 where its edges are not a grid of lines one pitch apart
 };
 
+// A corner whose first disc, by the reach that the caller knew, held one of the bent lines beside it: again from where the others'
+// lens sees it, with the reach by that lens. A corner that failed for anything else stays as it is.
+template <typename Pixel>
+CornerResult fit_off_lines(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, CornerInput input,
+                           const CornerResult& nowhere, const ImageLens& lens, const double (&at)[2], double pitch,
+                           bool looks_at_noise, Workspace& work) {
+    const double start[2] = {input.x, input.y};
+    if (!lens.project(lens.direction(at[0], at[1]), 6, input.x, input.y)) return nowhere;
+    if (!(std::hypot(input.x - start[0], input.y - start[1]) < std::max(1.5, 0.5 * input.reach))) return nowhere;
+    const double reach = reach_by_lens(lens, at[0], at[1], pitch, input.x, input.y);
+    if (!(kDiscShare * input.reach > kTouching * reach)) return nowhere;
+    input.reach = reach;
+    return CornerFitter<Pixel>(image, height, width, input, work, looks_at_noise).fit();
+}
+
 template <typename Pixel>
 void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput* inputs, std::ptrdiff_t n,
                        const BoardPlaces& board, CornerResult* results) {
@@ -147,14 +162,23 @@ void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t
         const double k = std::max(std::fabs(bends[i].curvature[0]), std::fabs(bends[i].curvature[1]));
         return k * results[i].radius * results[i].radius / 6;
     };
+    auto bend_at = [&](std::ptrdiff_t i) {
+        if (std::isfinite(results[i].x))
+            bends[i] = bends_at(lens, board.xy[2 * i], board.xy[2 * i + 1], step, results[i].x, results[i].y);
+    };
     for (std::ptrdiff_t i = 0; i < n; ++i) {
-        if (!std::isfinite(results[i].x)) continue;
-        bends[i] = bends_at(lens, board.xy[2 * i], board.xy[2 * i + 1], step, results[i].x, results[i].y);
+        bend_at(i);
         if (bends[i].is_known) worst = std::max(worst, offset_of(i));
     }
     const bool is_straight = worst < kStraight_px;
     alignas(32) static thread_local Workspace work;
     const std::ptrdiff_t every = (n + kCornersForNoise - 1) / kCornersForNoise;
+    for (std::ptrdiff_t i = 0; i < n; ++i) {
+        if (is_straight || !(board.pitch > 0) || std::isfinite(results[i].x)) continue;
+        results[i] = fit_off_lines<Pixel>(image, height, width, inputs[i], results[i], lens, {board.xy[2 * i], board.xy[2 * i + 1]},
+                                          board.pitch, is_picked(i, every), work);
+        bend_at(i);
+    }
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         if (!bends[i].is_known) continue;
         CornerInput input = inputs[i];

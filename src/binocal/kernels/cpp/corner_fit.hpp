@@ -36,6 +36,7 @@ constexpr int kColumns = kParameters + 1;  // the residual is the last column of
 constexpr int kMaxRadius = 14;             // beyond it lens curvature costs more than the additional edge length gains
 constexpr double kMinRadius = 2.5;
 constexpr double kFirstRadius = 7;
+constexpr double kDiscShare = 0.85;  // of the reach, of the disc's radius
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
 constexpr int kMaxEvaluations = 25;
@@ -346,7 +347,7 @@ class CornerFitter {
     CornerFitter(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput& input, Workspace& work,
                  bool looks_at_noise)
         : image_(image), height_(height), width_(width), input_(input), work_(work), looks_at_noise_(looks_at_noise),
-          is_large_(0.85 * input.reach > 1.4 * kFirstRadius),
+          is_large_(kDiscShare * input.reach > 1.4 * kFirstRadius),
           greatest_(is_large_ ? kFirstRadius : kMaxRadius),  // a small disc until the corner is nearly there costs half or less
           farthest_(std::max(1.5, 0.5 * input.reach)) {}
 
@@ -390,7 +391,7 @@ class CornerFitter {
     double margin(double x, double y) const { return std::min(std::min(x, width_ - 1 - x), std::min(y, height_ - 1 - y)) - 1.9; }
 
     Region region_of(double x, double y, double blur) const {
-        double radius = std::min({greatest_, 0.85 * input_.reach, input_.reach - 2 * blur});
+        double radius = std::min({greatest_, kDiscShare * input_.reach, input_.reach - 2 * blur});
         double strip = std::max(input_.strip - 2 * blur, 1.0);
         return Region{std::min(std::max(radius, kMinRadius), margin(x, y)), strip, {region_.bend[0], region_.bend[1]}};
     }
