@@ -203,9 +203,35 @@ EXPLANATIONS = {
     "scene-tells-too-little-kept": """
         As *the scene does not tell the pose*, but an old rig was given: the directions that the scene does tell are estimated,
         the others stay as the old rig has them, with standard deviations that say so.""",
-    "pair-contradicts": """
-        The matches of all pairs are taken together. A pair of which less than half as many fit as of the others was probably not
-        taken in one moment, or shows mostly things that move.""",
+    "image-shows-nothing": """
+        Points are sought where the image changes in two directions. An image in which hardly any stand out is black, white,
+        covered, of a bare wall, or far out of focus.""",
+    "image-blurred": """
+        Around the points of each image the spread of edges is measured: 0.9 to 1.2 px in sharp images, within 3 % the same in
+        both images of a pair. A blur of 1.5 px in one of them makes it a third larger, and matches of a sharp with a blurred
+        image are off by up to half a pixel, all in like directions: rotations come out wrong by tenths of a degree and more
+        than is stated. Pairs are refused (of several: left out) from a ratio of 1.3, or 2.5 px in both.""",
+    "images-already-rectified": """
+        In rectified images matching points lie on equal rows. Where they do so to less than the noise that the best pose of the
+        given rig leaves, the images were rectified by somebody, while the rig's file has the lenses of the raw images.""",
+    "rig-is-another": """
+        Heat and knocks turn a rig by a fraction of a degree, at most a few degrees, and its translation with it. Where the
+        images ask for more than 15 deg, or for a translation that turned by 6 deg more than the rig did, the cause is named
+        that the figures point to: upside down images, exchanged sides, other cameras (the parameter is named that would save
+        most of the residuals), or images that are not of one moment.""",
+    "pairs-contradict": """
+        Every pair of a rig shows the same pose. Where half of the pairs or more do not fit with the others, nothing tells which
+        are right.""",
+    "pairs-left-out": """
+        A pair is left out where an image shows nothing or is blurred, where less than half as many of its matches fit as of all
+        pairs (its images are not of one moment), or where its points lie behind the cameras (its images were exchanged). The
+        result is that of the other pairs.""",
+    "matches-ask-for-other-cameras": """
+        The cameras' parameters are held. For each focal length, principal point and k1, freed alone beside the pose, it is
+        asked how much of the squared residuals it would save and whether all regions of the images agree on it. More than a
+        third and four standard deviations are a sign that the calibration of that camera is not right any more. The value that
+        the matches ask for is a diagnosis, no result: freed parameters go wrong by more than they were uncertain, while the
+        residuals fall.""",
     "principal-points-near-middle": """
         Through a telephoto lens a shift of the principal point moves the image almost as a turn of the camera does, with a
         little of the distortion in between. The views then leave the principal points open by a tenth of the image and more,

@@ -106,7 +106,7 @@ def test_wrong_images_are_named(folder, tmp_path, capsys):
     for grey, side in enumerate(("left", "right")):
         cv2.imwrite(str(tmp_path / f"{side}_0.png"), black + np.uint8(grey))
     assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 3
-    assert "points" in capsys.readouterr().err
+    assert "0 points stand out" in capsys.readouterr().err
     for grey, side in enumerate(("left", "right")):
         cv2.imwrite(str(tmp_path / f"{side}_0.png"), black[:-10] + np.uint8(grey))
     assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 3
@@ -117,6 +117,25 @@ def test_wrong_images_are_named(folder, tmp_path, capsys):
         cv2.imwrite(str(two / f"{side}_0.png"), render(RIG.left, SE3(np.eye(3), np.zeros(3)), seed=5 + k))
     assert run("check", *sources(two), "--rig", folder / "true.json") == 3
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_blurred_and_black_images_are_named_or_left_out(folder, tmp_path, capsys):
+    for side in ("left", "right"):
+        for k in range(2):
+            (tmp_path / f"{side}_{k}.png").write_bytes((folder / f"{side}_{k}.png").read_bytes())
+    sharp = cv2.imread(str(folder / "right_1.png"), cv2.IMREAD_GRAYSCALE)
+    for spoiled, words in (
+        (cv2.GaussianBlur(sharp, (0, 0), 1.5), "is blurred"),
+        (np.zeros_like(sharp), "0 points stand out"),
+    ):
+        cv2.imwrite(str(tmp_path / "right_1.png"), spoiled)
+        assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 0
+        out = capsys.readouterr().out
+        assert "1 of 2 pairs were left out" in out and "right_1.png" in out and words in out
+        one = ["--left", tmp_path / "left_1.png", "--right", tmp_path / "right_1.png"]
+        assert run("check", *one, "--rig", folder / "true.json") == 3
+        err = capsys.readouterr().err
+        assert words in err and "right_1.png" in err and len(err.strip().splitlines()) == 1
 
 
 def test_frames_that_tell_most_are_chosen(folder):

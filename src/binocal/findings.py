@@ -117,10 +117,44 @@ _KINDS = (
         "take pairs with near and far things all over the image",
     ),
     FindingKind(
-        "pair-contradicts", _W, "A pair of images fits far worse than the others",
-        "of pair {pair} only {share_percent:.0f} % of the matches fit, of all pairs {usual_percent:.0f} %: its images may not be of one "
-        "moment; {remedy}.",
-        "leave the pair out, or see what moved",
+        "image-shows-nothing", _R, "An image shows nothing that could be matched",
+        "{image}: {n_features} points stand out, {n_needed} are needed: it is black, white, covered, without texture or out of focus; "
+        "{remedy}.",
+        "give sharp pairs of one moment with texture at several depths", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "image-blurred", _R, "An image is blurred",
+        "{image} is blurred: edges have a spread of {blur_px:.1f} px (standard deviation), {other_px:.1f} px in the other image of its "
+        "pair, so that points cannot be placed; {remedy}.",
+        "focus both cameras alike, hold the rig still, or expose for a shorter time", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "images-already-rectified", _R, "The images are rectified already",
+        "matching points lie on equal {lines} ({apart_px:.2f} px apart, median), where raw images of this rig would have them "
+        "{by_rig_px:.1f} px off: the images are rectified and the rig's file is of the raw ones, or of other cameras; {remedy}.",
+        "give the images as the cameras took them, or the rig of the rectified cameras", InconsistentViewsError,
+    ),
+    FindingKind(
+        "rig-is-another", _R, "The images show another rig than the one given",
+        "the images show a right camera turned by {turn_deg:.1f} deg against the rig given and a translation that points {direction_deg:.0f} "
+        "deg away from it: {cause}; {remedy}.",
+        "check the images, their sides and the rig's file; --start none takes no pose for granted", InconsistentViewsError,
+    ),
+    FindingKind(
+        "pairs-contradict", _R, "Pairs of images show different rigs",
+        "{n_odd} of {n_pairs} pairs do not fit together: {what}; {remedy}.",
+        "give pairs of one moment each, taken by one rig, left images as left", InconsistentViewsError,
+    ),
+    FindingKind(
+        "pairs-left-out", _W, "Pairs of images were left out",
+        "{n_odd} of {n_pairs} pairs were left out: {what}; {remedy}.",
+        "see what is wrong with them, or leave them out",
+    ),
+    FindingKind(
+        "matches-ask-for-other-cameras", _W, "Matches would fit better with other cameras",
+        "the matches ask for {what}, which would save {saved_percent:.0f} % of the squared residuals: the cameras' parameters are not quite "
+        "those of these images, and the pose bears their error; {remedy}.",
+        "calibrate the cameras anew with a board, and check that the images are as these cameras take them",
     ),
     # --- a solved rig that is no result
     FindingKind(

@@ -85,8 +85,11 @@ def test_pairs_that_contradict_are_named():
     matches = PointMatches.joined(
         [replace(p, names=(name,)) for p, name in zip((parts[0], shuffled, parts[2]), "abc", strict=True)]
     )
-    found = solve(matches).findings
-    assert [(f.code, f.figures["pair"]) for f in found] == [("pair-contradicts", "b")]
+    found = solve(matches)
+    assert [f.code for f in found.findings] == [
+        "pairs-left-out"
+    ] and "1 of 3 pairs were left out: b (" in found.findings[0].text
+    assert [view.name for view in found.views] == ["a", "c"]
 
 
 def test_matches_that_tell_nothing_are_refused():

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
 from binocal.datasets import StereoPair, open_dataset
@@ -21,8 +22,6 @@ from binocal.findings import Finding
 from binocal.formats import rig_json
 from binocal.formats.rig_file import load_rig
 from binocal.geometry import SE3, so3
-from binocal.images.reading import read_grey_image
-from binocal.matching.pairs import match_pair
 from binocal.matching.relative_pose import estimate_relative_pose
 from binocal.metrics.rows import RowFigures, row_figures
 from binocal.progress import ProgressCallback, ShouldStop
@@ -31,8 +30,9 @@ from binocal.shapes import Float
 from binocal.solvers.epipolar import EpipolarProblem, RelativePose
 from binocal.solvers.robust import TUKEY_END
 
-MAX_PAIRS = 20  # used; the random part of the error is below that of the intrinsics after four
-LOOKED_AT = 40  # evenly, of which the most telling are used
+MAX_PAIRS = (
+    8  # used, of twice as many looked at; the random part of the error is below that of the intrinsics after four
+)
 DRIFT_SIGMAS = 4.0  # twelve regions of one pair leave heavier tails than a normal's 3
 DEPTHS_M = (1.0, 5.0, 20.0)
 ANGLES = ("pitch", "yaw", "roll")
@@ -129,7 +129,10 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         raise DataError("no pairs of images.")
     cameras = source.rig.left, source.rig.right
     started = time.perf_counter()
-    matches = _matches(source, options)
+    chosen = [source.pairs[i] for i in looked_at(len(source.pairs), options.max_pairs)]
+    matches, left_out = matches_of(chosen, cameras, options.progress, options.should_stop)
+    if matches.n_pairs > options.max_pairs:
+        matches = matches.of_pairs(most_telling(source.rig, matches, options.max_pairs))
     matched = time.perf_counter()
     old = source.rig.T_right_left if options.from_old_rig else None
     length, sigma_m, said = options.baseline_m, 0.0, "--baseline"
@@ -148,7 +151,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         options.seed,
     )
     calibration = calibrate_from_matches(matches, request)
-    calibration = replace(calibration, findings=(*calibration.findings, *source.findings))
+    calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))
     right = _right_matches(cameras, calibration, matches)
     drift = _drift(calibration, source)
     elapsed = {"matching": matched - started, "solve": time.perf_counter() - matched}
@@ -165,50 +168,21 @@ def _baseline_sigma_m(source: NaturalSource) -> float:
     return float(np.sqrt(max(along @ source.covariance.block("translation") @ along, 0.0)))
 
 
-def _matches(source: NaturalSource, options: NaturalOptions) -> PointMatches:
-    """Matches of the most telling pairs."""
-    place = np.unique(np.linspace(0, len(source.pairs) - 1, min(len(source.pairs), LOOKED_AT)).round().astype(int))
-    parts: list[PointMatches] = []
-    cameras = source.rig.left, source.rig.right
-    for count, index in enumerate(place):
-        if options.should_stop is not None and options.should_stop():
-            from binocal.errors import CancelledError
-
-            raise CancelledError("cancelled while matching.")
-        pair = source.pairs[int(index)]
-        images = read_grey_image(pair.left_path), read_grey_image(pair.right_path)
-        for side, image, camera, path in zip(
-            ("left", "right"), images, cameras, (pair.left_path, pair.right_path), strict=True
-        ):
-            size = image.shape[1], image.shape[0]
-            if size != camera.size_wh:
-                raise DataError(
-                    f"{path}: {size[0]}x{size[1]} pixels, the rig's {side} camera has {camera.size_wh[0]}x{camera.size_wh[1]}; "
-                    "give images as this rig's cameras take them."
-                )
-        parts.append(match_pair(images[0], images[1], pair.name))
-        if options.progress is not None:
-            options.progress("pairs", count + 1, len(place))
-    parts = [part for part in parts if len(part)]
-    if not parts:
-        none = np.zeros((0, 2))
-        return PointMatches(
-            none, none, np.zeros(0, dtype=int), (source.pairs[0].name,), cameras[0].size_wh, cameras[1].size_wh
-        )
-    if len(parts) > options.max_pairs:
-        parts = [parts[i] for i in most_telling(source.rig, parts, options.max_pairs)]
-    return PointMatches.joined(parts)
+def looked_at(n_pairs: int, max_pairs: int) -> list[int]:
+    """Which pairs to match: twice as many as are wanted, evenly over the drive."""
+    return np.unique(np.linspace(0, n_pairs - 1, min(n_pairs, 2 * max_pairs)).round().astype(int)).tolist()
 
 
-def most_telling(rig: StereoRig, parts: Sequence[PointMatches], n_wanted: int) -> list[int]:
+def most_telling(rig: StereoRig, matches: PointMatches, n_wanted: int) -> list[int]:
     """The pairs that together tell the pose best: each next one lowers the trace of its covariance most.
 
     Greedy choice comes within 1 % of exchanging until nothing improves.
     """
     pose = RelativePose.of(rig.T_right_left)
     informations = []
-    for part in parts:
-        problem, _ = EpipolarProblem.of_matches((rig.left, rig.right), part)
+    n_pairs = matches.n_pairs
+    for pair in range(n_pairs):
+        problem, _ = EpipolarProblem.of_matches((rig.left, rig.right), matches.of_pairs([pair]))
         informations.append(problem.linearize(pose, np.asarray(1.0), "geman").information)
     total = np.sum(informations, axis=0)
     size = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
@@ -216,7 +190,7 @@ def most_telling(rig: StereoRig, parts: Sequence[PointMatches], n_wanted: int) -
     chosen: list[int] = []
     known = 1e-6 * np.eye(5)
     while len(chosen) < n_wanted:
-        rest = [i for i in range(len(parts)) if i not in chosen]
+        rest = [i for i in range(n_pairs) if i not in chosen]
         best = min(rest, key=lambda i: float(np.trace(np.linalg.inv(known + scaled[i]))))
         chosen.append(best)
         known = known + scaled[best]

@@ -13,6 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
+from binocal.calibrators.natural_checks import (
+    MIN_MATCHES,
+    asked,
+    clear_sides,
+    contradicting_pairs,
+    pairs_left_out,
+    parameters_asked_for,
+    refuse_other_rig,
+    refuse_rectified,
+    refuse_whole_rows,
+    refuse_wrong,
+)
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -38,20 +50,21 @@ from binocal.solvers.epipolar_covariance import (
     covariance_by_regions,
     covariance_of_noise,
     regions_of,
+    slopes_by_intrinsics,
     steps_by_intrinsics,
 )
+from binocal.solvers.epipolar_diagnosis import clearest_ask
 
-MIN_MATCHES = 30
-MIN_RIGHT_SHARE = 0.15  # of the matches; unfiltered ones of self-similar scenes keep 0.2 and more
 OLD_RIG_TURN_DEG, OLD_RIG_DIRECTION_DEG = 5.5, 6.0
 """Within which a result is taken for the same rig; a mount that moved by more has broken."""
+FAR_FITS, NEAR_SHARE = 0.6, 0.7
+"""A pose far from the old rig that explains so much of all matches is the images', where the best near it explains so much less."""
 UNTOLD_TURN_DEG, UNTOLD_DIRECTION_DEG = 1.0, 12.0
 """Standard deviations above which a scene does not tell a direction of the pose."""
 ASSUMED_FOCAL_SHARE, ASSUMED_ASPECT_SHARE, ASSUMED_CENTRE_PX = 4e-4, 2e-4, 0.25
 ASSUMED_DISTORTION = {"k1": 8e-4, "k2": 1.6e-3, "p1": 5e-5, "p2": 5e-5}
 """What intrinsics are uncertain by where nobody says: as a good calibration from a board leaves them."""
-WHOLE_ROWS_SHARE = 0.5  # of the matches on equal rows to a thousandth of a pixel: a grid's, not a scene's
-CONTRARY_SHARE = 0.5  # of the pooled share of right matches, below which a pair contradicts the others
+MIN_SIDE_SHARE = 0.1  # of clear points: with fewer on either side, they do not lie on both
 NEAR_NOISE = 3.0
 KEPT_STEPS = 5  # pairs of steps under the last kernel
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
@@ -79,59 +92,87 @@ class NaturalRequest:
 
 
 def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> StereoCalibration:
-    """The rig whose rotation and direction of translation fit the matches.
+    """The rig whose rotation and direction of translation fit the matches; pairs that contradict the others are left out.
 
     Raises:
-        TooFewPointsError, InconsistentViewsError, DegenerateGeometryError: The matches tell no rig; the text says why.
+        TooFewPointsError, InconsistentViewsError, DegenerateGeometryError: The matches tell no rig, or not that of the request; the
+            text says why.
     """
-    if len(matches) < MIN_MATCHES:
-        raise refusal(finding("matches-too-few", n_matches=len(matches), n_pairs=matches.n_pairs, n_needed=MIN_MATCHES))
+    solved = _solve(matches, request)
+    findings: list[Finding] = []
+    odd = contradicting_pairs(solved.problem, solved.matches, solved.estimate, solved.is_right, solved.noise_px)
+    if odd and matches.n_pairs > 1:
+        findings.append(pairs_left_out(solved.matches, odd, request.old is not None))
+        solved = _solve(matches.of_pairs([i for i in range(matches.n_pairs) if i not in odd]), request)
+    return _judged(solved, request, findings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """A minimum, and which matches it is of."""
+
+    problem: EpipolarProblem
+    matches: PointMatches
+    estimate: RelativePose
+    equations: EpipolarEquations
+    noise_px: float
+    start: str
+
+    @property
+    def is_right(self) -> Bool[ndarray, "n"]:
+        """Which matches have a part in it."""
+        right: Bool[ndarray, "n"] = self.equations.weights > 0
+        return right
+
+
+def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
+    """The minimum from the best start; what no minimum is found for is refused."""
     problem, has_rays = EpipolarProblem.of_matches(request.cameras, matches)
-    if has_rays.sum() < MIN_MATCHES:
-        raise refusal(
-            finding("matches-too-few", n_matches=int(has_rays.sum()), n_pairs=matches.n_pairs, n_needed=MIN_MATCHES)
-        )
+    n_seen = int(has_rays.sum())
+    if n_seen < MIN_MATCHES:
+        raise refusal(finding("matches-too-few", n_matches=n_seen, n_pairs=matches.n_pairs, n_needed=MIN_MATCHES))
     matches = matches.select(has_rays)
-    _refuse_whole_rows(matches)
+    refuse_whole_rows(matches)
     start, name = _best_start(problem, matches, request)
     minimum = finish(problem, start)
-    estimate, noise_px = minimum.estimate, max(float(minimum.scale_px), NOISE_FLOOR_PX)
-    estimate = _on_the_visible_side(problem, estimate, noise_px)
+    noise_px = max(float(minimum.scale_px), NOISE_FLOOR_PX)
+    estimate = _on_the_visible_side(problem, minimum.estimate, noise_px, request.old)
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
-    is_right = equations.weights > 0
-    _refuse_wrong(matches, is_right, noise_px)
-    findings: list[Finding] = list(_pairs_apart(matches, is_right))
-    covariance, random = _covariance(problem, matches, equations, estimate, noise_px, request)
-    if _all_far(problem.select(is_right), estimate, noise_px):
+    refuse_rectified(problem, matches, request.old, noise_px)
+    solved = _Solved(problem, matches, estimate, equations, noise_px, name)
+    refuse_wrong(matches, solved.is_right, noise_px)
+    return solved
+
+
+def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -> StereoCalibration:
+    """The minimum with its covariance, held against the old rig and the cameras."""
+    problem, matches, estimate, noise_px = solved.problem, solved.matches, solved.estimate, solved.noise_px
+    of_cameras = intrinsics_covariance(request.cameras, request.intrinsics)
+    slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
+    rng = np.random.default_rng(request.seed)
+    covariance, random = _covariance(solved, request, of_cameras, slopes, rng)
+    if _all_far(problem.select(solved.is_right), estimate, noise_px):
         covariance[[3, 4], [3, 4]] += np.radians(90.0) ** 2
     estimate, covariance, kept = _with_untold_kept(problem, estimate, covariance, noise_px, request)
-    findings += kept
-    return _calibration(matches, request, estimate, (covariance, random), (noise_px, name), tuple(findings))
+    regions = regions_of(matches.left_px, request.cameras[0].size_wh)
+    ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, slopes), rng)
+    direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))
+    refuse_other_rig(estimate, request.old, direction_sigma_deg, ask)
+    if ask is not None:
+        findings.append(
+            finding("matches-ask-for-other-cameras", what=asked(ask), saved_percent=100 * ask.fall, parameter=ask.name)
+        )
+    return _calibration(matches, request, estimate, (covariance, random), (noise_px, solved.start), (*findings, *kept))
 
 
-def _refuse_whole_rows(matches: PointMatches) -> None:
-    """Raises InconsistentViewsError: rows are those of a pixel grid."""
-    on_grid = np.abs(matches.left_px[:, 1] - matches.right_px[:, 1]) < 1e-3
-    if on_grid.mean() > WHOLE_ROWS_SHARE:
-        raise refusal(finding("matches-on-whole-rows", share_percent=100 * float(on_grid.mean())))
+def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarray, "p"]) -> Float[ndarray, "n p"]:
+    matches = solved.matches
 
+    def of_other_cameras(pair: tuple[Camera, Camera]) -> EpipolarProblem:
+        left, right = (Rays.of_points(c, p) for c, p in zip(pair, (matches.left_px, matches.right_px), strict=True))
+        return EpipolarProblem(left, right)
 
-def _refuse_wrong(matches: PointMatches, is_right: Bool[ndarray, "n"], noise_px: float) -> None:
-    n_right = int(is_right.sum())
-    if n_right < MIN_MATCHES or n_right < MIN_RIGHT_SHARE * len(matches):
-        raise refusal(finding("matches-contradict", n_right=n_right, n_matches=len(matches), noise_px=noise_px))
-
-
-def _pairs_apart(matches: PointMatches, is_right: Bool[ndarray, "n"]) -> list[Finding]:
-    """Pairs of which far fewer matches fit than of all."""
-    usual = is_right.mean()
-    found = []
-    for pair, name in enumerate(matches.names):
-        own = matches.pair == pair
-        if own.sum() >= MIN_MATCHES and matches.n_pairs > 1 and is_right[own].mean() < CONTRARY_SHARE * usual:
-            share, usual_share = 100 * float(is_right[own].mean()), 100 * float(usual)
-            found.append(finding("pair-contradicts", pair=name, share_percent=share, usual_percent=usual_share))
-    return found
+    return slopes_by_intrinsics(of_other_cameras, cameras, solved.estimate, sigma, len(matches))
 
 
 def _best_start(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> tuple[RelativePose, str]:
@@ -149,9 +190,11 @@ def _best_start(problem: EpipolarProblem, matches: PointMatches, request: Natura
     costs = {name: cost_at(problem, end) for name, end in ends.items()}
     if request.old is not None:
         old = starts["old rig"]
-        near = {name for name, end in ends.items() if _is_near(old, end)}
-        if near:
-            costs = {name: cost for name, cost in costs.items() if name in near}
+        near = {name: costs[name] for name, end in ends.items() if _is_near(old, end)}
+        n_matches = len(problem.left.directions)
+        fits, fits_near = (n_matches - min(values.values(), default=n_matches) for values in (costs, near))
+        if near and not (fits > FAR_FITS * n_matches and fits_near < NEAR_SHARE * fits):
+            costs = near
     best = min(costs, key=costs.__getitem__)
     return ends[best], best
 
@@ -168,40 +211,33 @@ def _all_far(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) 
     return int((parallax_px > CLEAR_PARALLAX * noise_px).sum()) < MIN_CLEAR
 
 
-def _on_the_visible_side(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> RelativePose:
-    """The sign of the translation by which points lie in front of both cameras."""
+def _on_the_visible_side(
+    problem: EpipolarProblem, estimate: RelativePose, noise_px: float, old: SE3 | None
+) -> RelativePose:
+    """The sign of the translation by which points lie in front of both cameras; the old rig's where they lie on both sides."""
     near = np.abs(problem.residuals_px(estimate)) < NEAR_NOISE * noise_px
-    parallax_px, side = parallax_and_sides(problem.select(near), estimate)
-    clear = parallax_px > 3.0
-    return estimate if side[clear].sum() >= 0 else RelativePose(estimate.R, -estimate.t)
+    is_clear, is_in_front = clear_sides(problem.select(near), estimate, noise_px)
+    n_clear, n_front = int(is_clear.sum()), int(is_in_front[is_clear].sum())
+    is_reversed = n_front < n_clear / 2
+    if old is not None and MIN_SIDE_SHARE * n_clear < n_front < (1 - MIN_SIDE_SHARE) * n_clear:
+        is_reversed = bool(estimate.t @ old.t < 0)
+    return RelativePose(estimate.R, -estimate.t) if is_reversed else estimate
 
 
 def _covariance(
-    problem: EpipolarProblem,
-    matches: PointMatches,
-    equations: EpipolarEquations,
-    estimate: RelativePose,
-    noise_px: float,
+    solved: _Solved,
     request: NaturalRequest,
+    of_cameras: Float[ndarray, "p p"],
+    slopes: Float[ndarray, "n p"],
+    rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]]:
     """Of the five unknowns and both cameras' parameters together; and the part of the former that other images would have anew."""
-    regions = regions_of(matches.left_px, request.cameras[0].size_wh)
-    own = covariance_by_regions(equations, regions, np.random.default_rng(request.seed))
-    noise = covariance_of_noise(equations, noise_px)
+    own = covariance_by_regions(solved.equations, regions_of(solved.matches.left_px, request.cameras[0].size_wh), rng)
+    noise = covariance_of_noise(solved.equations, solved.noise_px)
     grow = np.sqrt(np.maximum(np.diagonal(noise) / np.maximum(np.diagonal(own), 1e-300), 1.0))
     own = own * np.outer(grow, grow)
-    of_cameras = intrinsics_covariance(request.cameras, request.intrinsics)
-    n_left = len(request.cameras[0].parameters)
-    sigma = np.sqrt(np.diagonal(of_cameras))
-
-    def of_other_cameras(cameras: tuple[Camera, Camera]) -> EpipolarProblem:
-        left, right = (Rays.of_points(c, p) for c, p in zip(cameras, (matches.left_px, matches.right_px), strict=True))
-        return EpipolarProblem(left, right)
-
-    A = np.hstack(
-        steps_by_intrinsics(equations, of_other_cameras, request.cameras, estimate, (sigma[:n_left], sigma[n_left:]))
-    )
-    whole = np.zeros((5 + len(sigma), 5 + len(sigma)))
+    A = steps_by_intrinsics(solved.equations, slopes)
+    whole = np.zeros((5 + len(of_cameras), 5 + len(of_cameras)))
     whole[:5, :5] = own + A @ of_cameras @ A.T
     whole[:5, 5:] = A @ of_cameras
     whole[5:, :5] = whole[:5, 5:].T

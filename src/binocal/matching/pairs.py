@@ -10,6 +10,7 @@ from numpy import ndarray
 from binocal.evidence.point_matches import PointMatches
 from binocal.kernels.template_match import match_templates
 from binocal.matching.features import RATIO, find_features, match_features
+from binocal.matching.sharpness import edge_spread_px
 from binocal.shapes import Bool, Float
 
 MIN_LIKENESS = 0.9
@@ -28,7 +29,16 @@ class MatchOptions:
     """Windows are 2 half + 1 pixels wide."""
 
 
-def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions | None = None) -> PointMatches:
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMatches:
+    """The matches of a pair, and what its images are like, left first: features found, and the spread of edges around them, pixels."""
+
+    matches: PointMatches
+    n_features: tuple[int, int]
+    edge_spread_px: tuple[float, float]
+
+
+def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions | None = None) -> PairMatches:
     """The matches of a pair of grey images (h, w), uint8 or uint16.
 
     Features place them to a fifth of a pixel; windows fitted by least squares to a twentieth (:mod:`.kernels.template_match`).
@@ -44,7 +54,9 @@ def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions |
     else:
         right_px = np.where(agrees[:, None], refined, right_px)
     sizes = [(image.shape[1], image.shape[0]) for image in (left, right)]
-    return PointMatches(left_px, right_px, np.zeros(len(left_px), dtype=int), (name,), sizes[0], sizes[1])
+    matches = PointMatches(left_px, right_px, np.zeros(len(left_px), dtype=int), (name,), sizes[0], sizes[1])
+    spread = edge_spread_px(left, first.points_px), edge_spread_px(right, second.points_px)
+    return PairMatches(matches, (len(first.points_px), len(second.points_px)), spread)
 
 
 def _refined(

@@ -33,17 +33,29 @@ def covariance_by_regions(
     equations: EpipolarEquations, regions: Int[ndarray, "n"], rng: np.random.Generator
 ) -> Float[ndarray, "5 5"]:
     """Covariance of the five unknowns from draws of whole regions, the kernel's weights held."""
+    _, draws = draws_of_regions(equations.jacobian, equations.weights, equations.residuals_px, regions, rng)
+    n_regions = len(np.unique(regions))
+    return draws.T @ draws / DRAWS * (n_regions / max(n_regions - 1, 1))
+
+
+def draws_of_regions(
+    J: Float[ndarray, "n q"],
+    weights: Float[ndarray, "n"],
+    residuals_px: Float[ndarray, "n"],
+    regions: Int[ndarray, "n"],
+    rng: np.random.Generator,
+) -> tuple[Float[ndarray, "q"], Float[ndarray, "d q"]]:
+    """The Gauss-Newton step of all matches, and those of draws of whole regions."""
     present = np.unique(regions)
-    J, w, r = equations.jacobian, equations.weights, equations.residuals_px
-    H = np.stack([J[regions == k].T @ (w[regions == k, None] * J[regions == k]) for k in present])
-    g = np.stack([-J[regions == k].T @ (w[regions == k] * r[regions == k]) for k in present])
+    parts = [(J[regions == k], weights[regions == k], residuals_px[regions == k]) for k in present]
+    H = np.stack([A.T @ (w[:, None] * A) for A, w, _ in parts])
+    g = np.stack([-A.T @ (w * r) for A, w, r in parts])
     size = np.sqrt(np.maximum(np.diagonal(H.sum(axis=0)), 1e-300))
     H, g = H / size[:, None] / size, g / size
-    ridge = 1e-9 * np.eye(5)
+    ridge = 1e-9 * np.eye(J.shape[1])
     counts = rng.multinomial(len(present), np.full(len(present), 1 / len(present)), size=DRAWS).astype(float)
     steps = np.linalg.solve(np.einsum("dk,kij->dij", counts, H) + ridge, (counts @ g)[..., None])[..., 0] / size
-    share = len(present) / max(len(present) - 1, 1)
-    return steps.T @ steps / DRAWS * share
+    return np.linalg.solve(H.sum(axis=0) + ridge, g.sum(axis=0)) / size, steps
 
 
 def covariance_of_noise(equations: EpipolarEquations, noise_px: float) -> Float[ndarray, "5 5"]:
@@ -53,35 +65,35 @@ def covariance_of_noise(equations: EpipolarEquations, noise_px: float) -> Float[
     return np.linalg.inv(H / np.outer(size, size) + 1e-12 * np.eye(5)) / np.outer(size, size) * noise_px**2
 
 
-def steps_by_intrinsics(
-    equations: EpipolarEquations,
+def slopes_by_intrinsics(
     problem_of: Callable[[tuple[Camera, Camera]], EpipolarProblem],
     cameras: tuple[Camera, Camera],
     estimate: RelativePose,
-    sigma: tuple[Float[ndarray, "p"], Float[ndarray, "q"]],
-) -> tuple[Float[ndarray, "5 p"], Float[ndarray, "5 q"]]:
-    """By how much the five unknowns move for one unit of each intrinsic parameter; 0 for those without a standard deviation.
+    sigma: Float[ndarray, "p"],
+    n_matches: int,
+) -> Float[ndarray, "n p"]:
+    """Derivatives of the residuals by the parameters of both cameras, left first; 0 for those without a standard deviation.
 
     ``problem_of`` gives the problem of the same matches with other cameras.
     """
+    n_left = len(cameras[0].parameters)
+    slopes = np.zeros((n_matches, len(sigma)))
+    for k in np.flatnonzero(sigma > 0):
+        side, place = (0, k) if k < n_left else (1, k - n_left)
+        step, ends = STEP_SHARE * sigma[k], []
+        for sign in (1.0, -1.0):
+            moved = cameras[side].parameters.copy()
+            moved[place] += sign * step
+            other = Camera(cameras[side].model, cameras[side].size_wh, moved)
+            ends.append(problem_of((other, cameras[1]) if side == 0 else (cameras[0], other)).residuals_px(estimate))
+        slope = (ends[0] - ends[1]) / (2 * step)
+        slopes[:, k] = np.where(np.isfinite(slope), slope, 0.0)
+    return slopes
+
+
+def steps_by_intrinsics(equations: EpipolarEquations, slopes: Float[ndarray, "n p"]) -> Float[ndarray, "5 p"]:
+    """By how much the five unknowns move for one unit of each parameter of the cameras (the implicit function theorem)."""
     H = equations.information
     size = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
     inverse = np.linalg.inv(H / np.outer(size, size) + 1e-12 * np.eye(5)) / np.outer(size, size)
-    pull = -inverse @ (equations.jacobian * equations.weights[:, None]).T
-    found = []
-    for side in range(2):
-        columns = np.zeros((5, len(sigma[side])))
-        for k, s in enumerate(sigma[side]):
-            if not s > 0:
-                continue
-            ends = []
-            for sign in (1.0, -1.0):
-                moved = cameras[side].parameters.copy()
-                moved[k] += sign * STEP_SHARE * s
-                other = Camera(cameras[side].model, cameras[side].size_wh, moved)
-                pair = (other, cameras[1]) if side == 0 else (cameras[0], other)
-                ends.append(problem_of(pair).residuals_px(estimate))
-            slope = (ends[0] - ends[1]) / (2 * STEP_SHARE * s)
-            columns[:, k] = pull @ np.where(np.isfinite(slope), slope, 0.0)
-        found.append(columns)
-    return found[0], found[1]
+    return -inverse @ (equations.jacobian * equations.weights[:, None]).T @ slopes

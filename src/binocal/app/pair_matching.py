@@ -1,0 +1,89 @@
+"""Matches of pairs of image files, one pair in memory at a time; pairs that show nothing are named and left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from binocal.calibrators.natural_checks import MIN_MATCHES, named
+from binocal.cameras import Camera
+from binocal.datasets import StereoPair
+from binocal.errors import CancelledError, DataError
+from binocal.evidence.point_matches import PointMatches
+from binocal.findings import Finding, finding, refusal
+from binocal.images.reading import read_grey_image
+from binocal.matching.pairs import PairMatches, match_pair
+from binocal.progress import ProgressCallback, ShouldStop
+
+MIN_FEATURES = 2 * MIN_MATCHES  # of an image; half of them and more have no partner in the other
+MOST_SPREAD_RATIO = (
+    1.3  # of edges in one image over the other's; 1.00 ± 0.03 in sound pairs, 1.4 for a blur of 1.5 px in one
+)
+MOST_SPREAD_PX = 2.5  # in both; 0.9 to 1.2 in sharp images
+
+
+def matches_of(
+    pairs: Sequence[StereoPair],
+    cameras: tuple[Camera, Camera],
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+) -> tuple[PointMatches, list[Finding]]:
+    """Matches of the pairs that show something, and what is said of the others.
+
+    Raises:
+        DataError: An image cannot be read or is not of these cameras' size.
+        DegenerateGeometryError: No pair shows anything; the text says it of the first.
+        CancelledError: ``should_stop`` said so.
+    """
+    found: list[PointMatches] = []
+    unfit: list[tuple[str, Finding]] = []
+    for count, pair in enumerate(pairs):
+        if should_stop is not None and should_stop():
+            raise CancelledError("cancelled while matching.")
+        seen = match_files(pair, cameras)
+        why = what_is_wrong(pair, seen)
+        if why is None:
+            found.append(seen.matches)
+        else:
+            unfit.append((pair.name, why))
+        if progress is not None:
+            progress("pairs", count + 1, len(pairs))
+    if not found:
+        raise refusal(unfit[0][1])
+    if not unfit:
+        return PointMatches.joined(found), []
+    what = named([why.text.removesuffix(f"; {why.remedy}.") for _, why in unfit])
+    left_out = finding("pairs-left-out", n_odd=len(unfit), n_pairs=len(pairs), what=what)
+    return PointMatches.joined(found), [left_out]
+
+
+def match_files(pair: StereoPair, cameras: tuple[Camera, Camera]) -> PairMatches:
+    """The matches of a pair of files.
+
+    Raises:
+        DataError: An image cannot be read or is not of these cameras' size.
+    """
+    paths = pair.left_path, pair.right_path
+    images = [read_grey_image(path) for path in paths]
+    for side, image, camera, path in zip(("left", "right"), images, cameras, paths, strict=True):
+        size = image.shape[1], image.shape[0]
+        if size != camera.size_wh:
+            raise DataError(
+                f"{path}: {size[0]}x{size[1]} pixels, the rig's {side} camera has {camera.size_wh[0]}x{camera.size_wh[1]}; "
+                "give images as this rig's cameras take them."
+            )
+    return match_pair(images[0], images[1], pair.name)
+
+
+def what_is_wrong(pair: StereoPair, seen: PairMatches) -> Finding | None:
+    """Why a pair has no part in a calibration, or None."""
+    paths = pair.left_path, pair.right_path
+    for path, n_features in zip(paths, seen.n_features, strict=True):
+        if n_features < MIN_FEATURES:
+            return finding("image-shows-nothing", image=path, n_features=n_features, n_needed=MIN_FEATURES)
+    spread = seen.edge_spread_px
+    worse = int(spread[1] > spread[0])
+    if spread[worse] > MOST_SPREAD_RATIO * spread[1 - worse] or min(spread) > MOST_SPREAD_PX:
+        return finding("image-blurred", image=paths[worse], blur_px=spread[worse], other_px=spread[1 - worse])
+    if len(seen.matches) < MIN_MATCHES:
+        return finding("matches-too-few", n_matches=len(seen.matches), n_pairs=1, n_needed=MIN_MATCHES)
+    return None

@@ -1,0 +1,157 @@
+"""Whether matches are of one moment, of these cameras, and of the rig that was given: what is refused, and which pairs are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.cameras import Camera
+from binocal.cameras.models import camera_model
+from binocal.evidence.point_matches import PointMatches
+from binocal.findings import Finding, finding, refusal
+from binocal.geometry import SE3, so3
+from binocal.shapes import Bool, Float
+from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, RelativePose, parallax_and_sides
+from binocal.solvers.epipolar_diagnosis import Ask
+
+MIN_MATCHES = 30
+MIN_RIGHT_SHARE = 0.15  # of the matches; unfiltered ones of self-similar scenes keep 0.2 and more
+WHOLE_ROWS_SHARE = 0.5  # of the matches on equal rows to a thousandth of a pixel: a grid's, not a scene's
+CONTRARY_SHARE = 0.5  # of the pooled share of right matches, below which a pair contradicts the others
+CLEAR_PX, CLEAR_NOISE, MIN_CLEAR = 3.0, 10.0, 20
+"""Parallax, in pixels and of the noise, and of how many points, for the side on which they lie to be told."""
+MOST_TURN_DEG, MOST_DIRECTION_DEG, MOST_SIGMAS = 15.0, 6.0, 3.0
+"""From the rig that was given; beyond them it was not bent by heat or a knock, and the direction moves by no more than the turn else."""
+UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
+RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
+"""Median difference of matches' rows as they are, and by the rig given, for images that were rectified before; the former's share of
+the noise in the rig's best pose."""
+NAMED = 3  # pairs in one sentence
+
+
+def refuse_whole_rows(matches: PointMatches) -> None:
+    """Raises InconsistentViewsError: rows are those of a pixel grid."""
+    on_grid = np.abs(matches.left_px[:, 1] - matches.right_px[:, 1]) < 1e-3
+    if on_grid.mean() > WHOLE_ROWS_SHARE:
+        raise refusal(finding("matches-on-whole-rows", share_percent=100 * float(on_grid.mean())))
+
+
+def refuse_rectified(problem: EpipolarProblem, matches: PointMatches, given: SE3 | None, noise_px: float) -> None:
+    """Raises InconsistentViewsError: points lie on equal rows, nearer than the rig that was given can bring them in any pose."""
+    if given is None:
+        return
+    by_rig_px = float(np.median(np.abs(problem.residuals_px(RelativePose.of(given)))) * np.sqrt(2))
+    for axis, name in ((1, "rows"), (0, "columns")):
+        apart_px = float(np.median(np.abs(matches.left_px[:, axis] - matches.right_px[:, axis])))
+        is_nearer = MAD_TO_SIGMA * apart_px < RECTIFIED_SHARE * np.sqrt(2) * noise_px
+        if is_nearer and apart_px < RECTIFIED_PX and by_rig_px > UNRECTIFIED_PX:
+            raise refusal(finding("images-already-rectified", lines=name, apart_px=apart_px, by_rig_px=by_rig_px))
+
+
+def refuse_wrong(matches: PointMatches, is_right: Bool[ndarray, "n"], noise_px: float) -> None:
+    """Raises InconsistentViewsError: too few matches agree with one pose."""
+    n_right = int(is_right.sum())
+    if n_right < MIN_MATCHES or n_right < MIN_RIGHT_SHARE * len(matches):
+        raise refusal(finding("matches-contradict", n_right=n_right, n_matches=len(matches), noise_px=noise_px))
+
+
+def clear_sides(
+    problem: EpipolarProblem, estimate: RelativePose, noise_px: float
+) -> tuple[Bool[ndarray, "n"], Bool[ndarray, "n"]]:
+    """Which points have a parallax that tells their side, and which lie in front of both cameras."""
+    parallax_px, side = parallax_and_sides(problem, estimate)
+    return parallax_px > max(CLEAR_PX, CLEAR_NOISE * noise_px), side > 0
+
+
+def contradicting_pairs(
+    problem: EpipolarProblem,
+    matches: PointMatches,
+    estimate: RelativePose,
+    is_right: Bool[ndarray, "n"],
+    noise_px: float,
+) -> dict[int, str]:
+    """Pairs that show another rig than all together, and why: few of their matches fit, or their points lie behind the cameras."""
+    usual = is_right.mean()
+    is_clear, is_in_front = clear_sides(problem, estimate, noise_px)
+    found: dict[int, str] = {}
+    for pair in range(matches.n_pairs):
+        own = matches.pair == pair
+        told = own & is_right & is_clear
+        if own.sum() >= MIN_MATCHES and is_right[own].mean() < CONTRARY_SHARE * usual:
+            found[pair] = (
+                f"{100 * is_right[own].mean():.0f} % of its matches fit, of all {100 * usual:.0f} %: not of one moment?"
+            )
+        elif told.sum() >= MIN_CLEAR and is_in_front[told].mean() < 0.5:
+            found[pair] = "its points lie behind the cameras: left and right exchanged?"
+    return found
+
+
+def pairs_left_out(matches: PointMatches, odd: Mapping[int, str], has_old: bool) -> Finding:
+    """What is said of pairs that contradict the others.
+
+    Raises:
+        InconsistentViewsError: They are as many as the others, so that nothing says which are right.
+    """
+    what = named([f"{matches.names[pair]} ({why})" for pair, why in odd.items()])
+    n_odd, n_pairs = len(odd), matches.n_pairs
+    if n_odd > n_pairs / 2 or (n_odd == n_pairs / 2 and not has_old):
+        raise refusal(finding("pairs-contradict", n_odd=n_odd, n_pairs=n_pairs, what=what))
+    return finding("pairs-left-out", n_odd=n_odd, n_pairs=n_pairs, what=what)
+
+
+def named(texts: list[str]) -> str:
+    """The first few, and how many more."""
+    more = f", and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
+    return ", ".join(texts[:NAMED]) + more
+
+
+def refuse_other_rig(estimate: RelativePose, given: SE3 | None, direction_sigma_deg: float, ask: Ask | None) -> None:
+    """Raises InconsistentViewsError: the rig that was given cannot have become the one that the images show."""
+    if given is None:
+        return
+    old = RelativePose.of(given)
+    rotation = estimate.R @ old.R.T
+    turn_deg = float(np.degrees(so3.angle_rad(rotation)))
+    direction_deg = float(np.degrees(np.arccos(np.clip(estimate.t @ old.t, -1, 1))))
+    most_deg = MOST_DIRECTION_DEG + MOST_SIGMAS * direction_sigma_deg + min(turn_deg, MOST_TURN_DEG)
+    if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg:
+        return
+    if turn_deg > UPSIDE_DOWN_DEG:
+        cause = "one camera's images are upside down against the other's, as the rig's file does not have them"
+    elif direction_deg > REVERSED_DEG:
+        cause = "left and right are exchanged, or both images are mirrored or upside down"
+    elif ask is not None:
+        cause = f"the rig's cameras are not those of the images, which ask for {asked(ask)}"
+    else:
+        cause = (
+            "the two images of a pair are not of one moment, the rig's file is of another rig, or its mount has broken"
+        )
+    raise refusal(finding("rig-is-another", turn_deg=turn_deg, direction_deg=direction_deg, cause=cause))
+
+
+def parameters_asked_for(
+    cameras: tuple[Camera, Camera], slopes: Float[ndarray, "n p"]
+) -> dict[str, Float[ndarray, "n"]]:
+    """Derivatives of the residuals by what may be asked of each camera: focal length (its share), principal point, k1."""
+    found: dict[str, Float[ndarray, "n"]] = {}
+    first = 0
+    for side, camera in zip(("left", "right"), cameras, strict=True):
+        names = camera_model(camera.model).parameter_names
+        own = slopes[:, first : first + len(names)]
+        found[f"{side}.f"] = own[:, :2] @ camera.parameters[:2]
+        for name in ("cx", "cy", "k1"):
+            found[f"{side}.{name}"] = own[:, names.index(name)]
+        first += len(names)
+    return found
+
+
+def asked(ask: Ask) -> str:
+    """What is asked for, in words."""
+    side, name = ask.name.split(".")
+    if name == "f":
+        return f"a focal length of the {side} camera that is {100 * ask.change:+.2f} ± {100 * ask.sigma:.2f} % another"
+    if name == "k1":
+        return f"a k1 of the {side} camera that is {ask.change:+.4f} ± {ask.sigma:.4f} another"
+    return f"a principal point of the {side} camera that lies {ask.change:+.1f} ± {ask.sigma:.1f} px away in {name[1]}"

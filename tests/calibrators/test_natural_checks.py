@@ -1,0 +1,127 @@
+"""Matches that are not of one moment, not of these cameras or not of the rig that was given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
+from binocal.cameras import Camera
+from binocal.errors import InconsistentViewsError
+from binocal.evidence.point_matches import PointMatches
+from binocal.geometry import SE3, so3
+from binocal.matching.relative_pose import estimate_relative_pose
+from streets import SIZE, T_RIGHT_LEFT, cameras, street
+
+
+def solve(matches, pair=None, old=T_RIGHT_LEFT):
+    known = pair or cameras()
+    guess = lambda found: estimate_relative_pose(known, found.left_px, found.right_px)  # noqa: E731
+    return calibrate_from_matches(matches, NaturalRequest(known, old, 0.54, guess=guess))
+
+
+def pairs(rng, n):
+    return [replace(street(rng, cameras(), 200, 0.1), names=(f"pair {k}",)) for k in range(n)]
+
+
+def exchanged(matches):
+    return replace(matches, left_px=matches.right_px, right_px=matches.left_px)
+
+
+def turned_by_180(px):
+    return np.array(SIZE) - 1 - px
+
+
+def with_focal_length(camera, factor):
+    parameters = camera.parameters.copy()
+    parameters[:2] *= factor
+    return Camera(camera.model, camera.size_wh, parameters)
+
+
+def test_exchanged_sides_are_named():
+    one = street(np.random.default_rng(0), cameras(), 300, 0.1)
+    with pytest.raises(InconsistentViewsError, match="left and right are exchanged"):
+        solve(exchanged(one), cameras()[::-1])
+
+
+def test_one_camera_upside_down_is_named():
+    plain = tuple(Camera("brown4", SIZE, np.array([720, 721, 620.5, 187, 0, 0, 0, 0, 0.0])) for _ in range(2))
+    one = street(np.random.default_rng(1), plain, 300, 0.1)
+    one = replace(one, right_px=turned_by_180(one.right_px))
+    with pytest.raises(InconsistentViewsError, match="upside down against the other's"):
+        solve(one, plain)
+
+
+def test_a_pair_of_two_moments_is_named():
+    """The rig went two metres forward between the exposures."""
+    rng = np.random.default_rng(2)
+    one = street(rng, cameras(), 1500, 0.1)
+    rays = cameras()[0].unproject(one.left_px)
+    points = rays / rays[:, 2:] * rng.uniform(6, 40, (len(rays), 1))
+    px = cameras()[1].project(SE3(T_RIGHT_LEFT.R, T_RIGHT_LEFT.t - [0.0, 0.0, 2.0]).apply(points))
+    inside = ((px > 0) & (px < np.array(SIZE) - 1)).all(axis=1)
+    one = replace(one, right_px=np.where(inside[:, None], px, one.right_px)).select(inside)
+    with pytest.raises(InconsistentViewsError, match="not of one moment"):
+        solve(one)
+    rest = pairs(rng, 3)
+    found = solve(PointMatches.joined([rest[0], replace(one, names=("late",)).select(np.arange(200)), *rest[1:]]))
+    assert [f.code for f in found.findings] == ["pairs-left-out"] and "late (" in found.findings[0].text
+    assert [view.name for view in found.views] == ["pair 0", "pair 1", "pair 2"]
+    assert np.degrees(so3.angle_rad(found.rig.T_right_left.R @ T_RIGHT_LEFT.R.T)) < 0.05
+
+
+def test_an_exchanged_pair_is_left_out_and_half_of_them_refused():
+    rng = np.random.default_rng(3)
+    flat = tuple(Camera("brown4", SIZE, np.array([720, 720, 620, 187, 0, 0, 0, 0, 0.0])) for _ in range(2))
+    beside = SE3(np.eye(3), np.array([-0.54, 0.0, 0.0]))
+
+    def rectified():
+        one = street(rng, flat, 200, 0.0)
+        near = flat[0].unproject(one.left_px)
+        near = near / near[:, 2:] / rng.uniform(1 / 60, 1 / 4, (200, 1))
+        right = flat[1].project(beside.apply(near)) + rng.normal(0, 0.1, (200, 2))
+        return replace(one, right_px=right)
+
+    parts = [replace(rectified(), names=(str(k),)) for k in range(4)]
+    three = PointMatches.joined([*parts[:3], exchanged(parts[3])])
+    found = solve(three, flat, old=beside)
+    assert "3 (its points lie behind the cameras" in found.findings[0].text and len(found.views) == 3
+    half = PointMatches.joined([*parts[:2], *(exchanged(part) for part in parts[2:])])
+    with pytest.raises(InconsistentViewsError, match="2 of 4 pairs do not fit together"):
+        calibrate_from_matches(half, NaturalRequest(flat))
+    assert len(solve(half, flat, old=beside).views) == 2  # an old rig says which
+
+
+def test_rectified_images_of_a_raw_rig_are_named():
+    one = street(np.random.default_rng(4), cameras(), 300, 0.05)
+    same_row = np.column_stack([one.right_px[:, 0], one.left_px[:, 1]])
+    same_row[:, 1] += np.random.default_rng(5).normal(0, 0.05, 300)
+    with pytest.raises(InconsistentViewsError, match="lie on equal rows"):
+        solve(replace(one, right_px=same_row))
+
+
+def test_a_turned_rig_of_rectified_images_is_no_raw_rig():
+    rng = np.random.default_rng(6)
+    flat = tuple(Camera("brown4", SIZE, np.array([720, 720, 620, 187, 0, 0, 0, 0, 0.0])) for _ in range(2))
+    one = street(rng, flat, 300, 0.0)
+    points = flat[0].unproject(one.left_px)
+    points = points / points[:, 2:] / rng.uniform(1 / 60, 1 / 4, (300, 1))
+    beside = SE3(np.eye(3), np.array([-0.54, 0.0, 0.0]))
+    one = replace(one, right_px=flat[1].project(beside.apply(points)) + rng.normal(0, 0.1, (300, 2)))
+    for axis in np.eye(3):
+        found = solve(one, flat, old=SE3(so3.exp(np.radians(3.0) * axis), beside.t))
+        assert np.degrees(so3.angle_rad(found.rig.T_right_left.R)) < 0.1 and not found.findings
+
+
+def test_wrong_focal_length_is_asked_for():
+    one = street(np.random.default_rng(7), cameras(), 600, 0.1)
+    left, right = cameras()
+    found = solve(one, (left, with_focal_length(right, 1.004)))
+    (ask,) = (f for f in found.findings if f.code == "matches-ask-for-other-cameras")
+    assert ask.figures["parameter"] in ("left.f", "right.f") and ask.figures["saved_percent"] > 40
+    assert "focal length of the" in ask.text and "%" in ask.text
+    assert not solve(one).findings
+    with pytest.raises(InconsistentViewsError, match="cameras are not those of the images"):
+        solve(one, (left, with_focal_length(right, 1.05)))
