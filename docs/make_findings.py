@@ -60,11 +60,18 @@ EXPLANATIONS = {
         shares of the board's own size in the image. Within 12 degrees and 12 % of one view there is one pose, whatever its
         tilt; the refusal comes if the solve found no minimum or leaves a focal length open by more than 1 %.""",
     "board-not-found": """
-        The commonest reason is given, and how many images have it; the list above the message has every image. A board of
-        another size, of another kind, or markers of another family are looked for in the first images, and proposed.""",
+        The commonest reason is given, and how many images have it; the list above the message has every image. Some of the
+        images were looked at again for any other board, and show none that is recognised.""",
     "board-is-another": """
-        More images show something else than show the board: a grid of another size, or a chessboard whose bright squares hold
-        patterns, which is a ChArUco board. The few that fit the SPEC are then more likely wrong than the many that do not.""",
+        Where no image shows the board, or few do, some of the others are looked at again for a chessboard, a ChArUco board, an
+        AprilGrid or a circle grid of any size. Two of them must agree. A chessboard and circles are proposed where detection finds
+        them under that very SPEC; a marker board where the ids of its markers fit the places at which they lie for one number of
+        columns only, and its number of rows where an image shows its end. The marker's side, which is measured to some percent,
+        is left to you.""",
+    "markers-too-small": """
+        The squares of a ChArUco board are found when they are 7 px wide. Its markers are read by their code: rendered
+        sharp, all are read where a cell of the code is 2.5 px wide, half of them at 1.8 px, none at 1 px. Without markers it is
+        not known which corner is which, and images that show a part of the board only are of no use.""",
     "board-in-one-camera-only": """
         One camera's images show the board, the other's none. Look at the one that the message names: the board may be outside
         that camera's view, out of focus or too dark, or the wrong folder was given.""",

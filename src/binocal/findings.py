@@ -208,8 +208,14 @@ _KINDS = (
     ),
     FindingKind(
         "board-is-another", _R, "Most images show another board than the one given",
-        "{board} was found in {n_found} of {n_images} images, but {n_other} show {what}; {remedy}",
+        "{board} was found in {n_found} of {n_images} images; {n_other} of {n_tried} looked at again show {what}: {remedy}",
         "give the board as it is printed", DetectionError,
+    ),
+    FindingKind(
+        "markers-too-small", _R, "The board's squares are seen, its markers are too small to be read",
+        "{board} was found in {n_found} of {n_images} images; {n_other} of {n_tried} looked at again show its squares, {square_px:.0f} px "
+        "wide, and cannot tell its markers of {marker_px:.0f} px ({cell_px:.1f} px for each cell of their code): {remedy}.",
+        "move nearer, or print fewer and larger squares, so that a cell has 3 px", DetectionError,
     ),
     FindingKind(
         "board-in-one-camera-only", _R, "One camera never sees the board",

@@ -48,7 +48,7 @@ def detect_aprilgrid(
     Points are in the order of the board as it hangs upright, whichever way its ids run. With a ``layout`` given it is
     taken.
     """
-    ids, quads, border_bits = _find_tags(to_8_bit(stretched), board.columns * board.rows)
+    ids, quads, border_bits = find_tags(to_8_bit(stretched), board.columns * board.rows)
     if len(ids) == 0:
         return not_found(board.n_points, "no tag of the family 36h11 found"), None
     tags = ids - board.first_tag_id
@@ -90,7 +90,7 @@ def detect_aprilgrid(
 _LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (True, False) for turns in range(4))
 
 
-def _find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
+def find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
     """Tags of either border width, in the image with its dark parts thinned by a pixel and, if need be, as it is.
 
     Thinning parts the tags from the small squares that touch their corners and would merge them into one outline; it

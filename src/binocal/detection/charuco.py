@@ -10,6 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.detection.finding.arrangements import charuco_squares
 from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
 from binocal.detection.finding.planes import apply_homography, grid_residuals
 from binocal.detection.finding.regularity import keep_regular
@@ -45,7 +46,7 @@ def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
     (OpenCV 4.6 on) has a dark square at the top left, the legacy one a white square with marker 0.
     """
     first = 0 if layout == "legacy" and board.rows % 2 == 0 else 1
-    return np.array([(x, y) for y in range(board.rows) for x in range(board.columns) if (x + y) % 2 == first])
+    return charuco_squares(board.columns, board.rows, first)
 
 
 def detect_charuco(
@@ -108,23 +109,6 @@ def _read_layout(board: Board, layout: Layout, ids: ndarray, quads: ndarray) -> 
     residuals = grid_residuals(_marker_places(board, squares).reshape(-1, 2), quads.reshape(-1, 2))
     residuals = residuals / np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).mean()
     return _Reading(layout, squares, float(np.median(residuals)), float(residuals.max()))
-
-
-def find_columns(stretched: Float32[ndarray, "h w"], board: Board) -> int:
-    """Number of columns for which the image's markers of the board's dictionary lie on a plane.
-
-    0 if none or several do.
-    """
-    ids, quads = find_markers(to_8_bit(stretched), get_dictionary(board.dictionary))
-    if len(ids) < 6:
-        return 0
-    fitting = set()
-    for columns in range(2, 31):
-        rows = 2 * (int(ids.max()) // columns + 2)  # even, so that the layouts differ, and enough for every id
-        trial = replace(board, columns=columns, rows=rows)
-        if any(_read_layout(trial, layout, ids, quads).misfit < 0.1 for layout in ("current", "legacy")):
-            fitting.add(columns)
-    return fitting.pop() if len(fitting) == 1 else 0
 
 
 def _prove_layout(board: Board, readings: dict[str, _Reading]) -> Layout:
