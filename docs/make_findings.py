@@ -119,8 +119,9 @@ EXPLANATIONS = {
     "focal-length-uncertain": """
         The focal length is known worse than one percent, and distances with it. The rig is usable where that is enough.""",
     "image-size-doubtful": """
-        Lens mounts scatter both ways. Two principal points that lie short of the middle by the same share, with no corner
-        beyond the size that would put them into the middle, mean that the stated size is too large.""",
+        Lens mounts scatter both ways. Two principal points that lie short of the middle by the same share, by more than their
+        standard deviations explain, with no corner beyond the size that would put them into the middle, mean that the stated
+        size is too large.""",
     "lens-model-folds": """
         Beyond some radius the fitted distortion bends image points back inwards, so that a pixel out there belongs to no
         direction: it cannot be rectified, and no depth comes from it. The corners say nothing about that part of the image. It

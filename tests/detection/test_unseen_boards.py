@@ -117,3 +117,14 @@ def test_nothing_is_recognised_in_an_image_of_nothing():
     assert recognize(np.full((240, 320), 90, np.uint8)) is None
     rng = np.random.default_rng(0)
     assert recognize(rng.integers(0, 255, (240, 320)).astype(np.uint8)) is None
+
+
+def test_one_image_of_another_board_proposes_nothing(folders, tmp_path):
+    """A poster behind the rig in one image is not the board of the set."""
+    (first, *others) = sorted(folders("chessboard:9x6:30mm").iterdir())
+    (tmp_path / first.name).write_bytes(first.read_bytes())
+    for i, path in enumerate(others):
+        image = cv2.GaussianBlur(cv2.imread(str(path), 0), (0, 0), 40.0 + i)
+        cv2.imwrite(str(tmp_path / path.name), image)
+    error = refusal_of(tmp_path, "circles:7x6:30mm")
+    assert error.findings[0].code == "board-not-found" and "did you mean" not in str(error)

@@ -65,7 +65,7 @@ def detect_charuco(
     if not known.any():
         return not_found(board.n_points, f"markers have ids from {ids.min()} on; the board has 0 to {n_board - 1}"), ""
     ids, quads = ids[known], quads[known]
-    readings, is_stray = _read_without_strays(board, ids, quads)
+    readings, is_stray = _read_without_strays(board, ids, quads, (grey.shape[1], grey.shape[0]))
     ids, quads = ids[~is_stray], quads[~is_stray]
     proved = _prove_layout(board, readings)
     reading = readings[layout or proved or "current"]
@@ -82,7 +82,7 @@ def detect_charuco(
 
 
 def _read_without_strays(
-    board: Board, ids: Int[ndarray, "m"], quads: Float[ndarray, "m 4 2"]
+    board: Board, ids: Int[ndarray, "m"], quads: Float[ndarray, "m 4 2"], size_wh: tuple[int, int]
 ) -> tuple[dict[str, _Reading], Bool[ndarray, "m"]]:
     """The markers read in both layouts, without those that are none of the board's, and which those are."""
     layouts: tuple[Layout, ...] = ("current", "legacy")
@@ -90,7 +90,7 @@ def _read_without_strays(
     nowhere = np.zeros(len(ids), bool)
     if min(reading.worst for reading in readings.values()) < MAX_MISFIT:
         return readings, nowhere
-    strays = (find_strays(_marker_places(board, readings[name].squares), quads) for name in layouts)
+    strays = (find_strays(_marker_places(board, readings[name].squares), quads, size_wh) for name in layouts)
     is_stray = min(strays, key=np.count_nonzero)
     if is_stray.all() or not is_stray.any():
         return readings, nowhere
