@@ -60,11 +60,18 @@ EXPLANATIONS = {
         shares of the board's own size in the image. Within 12 degrees and 12 % of one view there is one pose, whatever its
         tilt; the refusal comes if the solve found no minimum or leaves a focal length open by more than 1 %.""",
     "board-not-found": """
-        The commonest reason is given, and how many images have it; the list above the message has every image. A board of
-        another size, of another kind, or markers of another family are looked for in the first images, and proposed.""",
+        The commonest reason is given, and how many images have it; the list above the message has every image. Some of the
+        images were looked at again for any other board, and show none that is recognised.""",
     "board-is-another": """
-        More images show something else than show the board: a grid of another size, or a chessboard whose bright squares hold
-        patterns, which is a ChArUco board. The few that fit the SPEC are then more likely wrong than the many that do not.""",
+        Where no image shows the board, or few do, some of the others are looked at again for a chessboard, a ChArUco board, an
+        AprilGrid or a circle grid of any size. Two of them must agree. A chessboard and circles are proposed where detection finds
+        them under that very SPEC; a marker board where the ids of its markers fit the places at which they lie for one number of
+        columns only, and its number of rows where an image shows its end. The marker's side, which is measured to some percent,
+        is left to you.""",
+    "markers-too-small": """
+        The squares of a ChArUco board are found when they are 7 px wide. Its markers are read by their code: rendered
+        sharp, all are read where a cell of the code is 2.5 px wide, half of them at 1.8 px, none at 1 px. Without markers it is
+        not known which corner is which, and images that show a part of the board only are of no use.""",
     "board-in-one-camera-only": """
         One camera's images show the board, the other's none. Look at the one that the message names: the board may be outside
         that camera's view, out of focus or too dark, or the wrong folder was given.""",
@@ -112,8 +119,9 @@ EXPLANATIONS = {
     "focal-length-uncertain": """
         The focal length is known worse than one percent, and distances with it. The rig is usable where that is enough.""",
     "image-size-doubtful": """
-        Lens mounts scatter both ways. Two principal points that lie short of the middle by the same share, with no corner
-        beyond the size that would put them into the middle, mean that the stated size is too large.""",
+        Lens mounts scatter both ways. Two principal points that lie short of the middle by the same share, by more than their
+        standard deviations explain, with no corner beyond the size that would put them into the middle, mean that the stated
+        size is too large.""",
     "lens-model-folds": """
         Beyond some radius the fitted distortion bends image points back inwards, so that a pixel out there belongs to no
         direction: it cannot be rectified, and no depth comes from it. The corners say nothing about that part of the image. It
@@ -249,11 +257,16 @@ EXPLANATIONS = {
         where bow or stretch exceed three of their standard deviations and move corners by more than half of the noise. Only
         the scale of the print remains unknown: over all of its points it is taken for that of the drawing.""",
     "corners-lock-to-pixels": """
-        In images that were made smaller without smoothing, enlarged, or read from every other pixel, an edge is measured at a
-        place that depends on where it lies between the pixels. The error repeats with the pixels, or with those of the image
+        In images that were made smaller without smoothing, enlarged, overexposed, or read from every other pixel, an edge is
+        measured at a place that depends on where it lies between the pixels. The error repeats with the pixels, or with those of the image
         before it was enlarged (2, 3 or 4 of today's). It is alike in all views, so that the residuals show it; a few
         harmonics of each camera's axes were fitted to them and taken from the corners before the solve went on. The curve
         stands in the provenance (`pixel_locking`). What it cannot mend is the sharpness that the images have lost.""",
+    "corners-burnt-out": """
+        Where paper is much brighter than the greatest grey value, the image shows an edge that rises within a fraction of a
+        pixel. Where it lies between the pixels is then lost: corners are off by 0.002 px at 1.2 times the range, by 0.02 px at
+        1.8 times, and by 0.03 px at 1.6 times in a very sharp image (blur 0.5 px). The residuals show it as a curve that repeats with
+        the pixels, as in [corners-lock-to-pixels](corners-lock-to-pixels.md), and it was taken out of the corners.""",
     "model-choice-weak": """
         Camera models are compared by the rows and lengths of views that were held out. With fewer than six views nothing can
         be held out, and the Bayesian information criterion decides.""",

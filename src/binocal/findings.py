@@ -242,8 +242,14 @@ _KINDS = (
     ),
     FindingKind(
         "board-is-another", _R, "Most images show another board than the one given",
-        "{board} was found in {n_found} of {n_images} images, but {n_other} show {what}; {remedy}",
+        "{board} was found in {n_found} of {n_images} images; {n_other} of {n_tried} looked at again show {what}: {remedy}",
         "give the board as it is printed", DetectionError,
+    ),
+    FindingKind(
+        "markers-too-small", _R, "The board's squares are seen, its markers are too small to be read",
+        "{board} was found in {n_found} of {n_images} images; {n_other} of {n_tried} looked at again show its squares, {square_px:.0f} px "
+        "wide, and cannot tell its markers of {marker_px:.0f} px ({cell_px:.1f} px for each cell of their code): {remedy}.",
+        "move nearer, or print fewer and larger squares, so that a cell has 3 px", DetectionError,
     ),
     FindingKind(
         "board-in-one-camera-only", _R, "One camera never sees the board",
@@ -491,7 +497,14 @@ _KINDS = (
         "corners-lock-to-pixels", _W, "Corners are drawn to places between the pixels",
         "{camera} corners lock to the pixels: an error of up to {amplitude_px:.2f} px repeats every {period_px:g} px "
         "({share_percent:.0f} % of the residuals' variance) and was taken out; {remedy}.",
-        "calibrate with images of the camera's own resolution, not resized or enlarged",
+        "calibrate with images of the camera's own resolution, not resized or enlarged, whose paper does not saturate",
+    ),
+    FindingKind(
+        "corners-burnt-out", _W, "The board's paper saturates, and its corners are drawn to places between the pixels",
+        "the board's paper is saturated in {images_percent:.0f} % of the {camera} images, which makes edges too sharp for the pixels: an "
+        "error of up to {amplitude_px:.2f} px repeats with them ({share_percent:.0f} % of the residuals' variance) and was taken out; "
+        "{remedy}.",
+        "expose less, so that the paper stays below the greatest grey value",
     ),
     FindingKind(
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",

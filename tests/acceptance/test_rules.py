@@ -176,6 +176,16 @@ def test_a_size_is_doubted_only_where_both_are_short_and_no_corner_lies_beyond(s
     assert "image-size-doubtful" not in codes(replace(doubtful, evidence=beyond))
 
 
+def test_a_size_is_not_doubted_where_the_principal_points_are_hardly_known(sound):
+    """Both short by 0.054 of the width: with standard deviations that make it 3 or 5 of their mean's."""
+    doubtful = stated_wider(sound, 1.12)
+    short_px = (0.5 - 0.5 / 1.12) * 1.12 * 1280
+    for sigmas, is_said in ((5.0, True), (3.0, False)):
+        sigma_px = np.sqrt(2) * short_px / sigmas
+        unsure = with_sigma(doubtful, left_cx=sigma_px, right_cx=sigma_px)
+        assert ("image-size-doubtful" in codes(unsure)) == is_said
+
+
 def test_a_solve_that_did_not_converge_is_no_result(sound):
     with pytest.raises(NotConvergedError, match="did not reach a minimum") as caught:
         acceptance.apply_rules(sound, is_converged=False)

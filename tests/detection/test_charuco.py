@@ -6,7 +6,7 @@ import pytest
 
 from binocal import detect
 from binocal.boards import parse_board
-from binocal.detection.charuco import detect_charuco, find_columns, marker_squares
+from binocal.detection.charuco import detect_charuco, marker_squares
 from binocal.detection.detect import stretch
 
 SPEC = "charuco:8x6:30mm:22mm:DICT_5X5_50"
@@ -43,13 +43,6 @@ def test_exchanged_columns_and_rows_contradict_the_markers(shoot):
 
 def test_another_dictionary_is_not_found(shoot):
     assert "no marker" in detect(shoot(SPEC).image, parse_board("charuco:8x6:30mm:22mm:DICT_7X7_50")).reason
-
-
-def test_the_markers_tell_the_number_of_columns(shoot):
-    shot = shoot(SPEC, size_wh=(800, 600), distance=1.9)
-    wrong = parse_board("charuco:10x6:30mm:22mm:DICT_5X5_50")
-    assert find_columns(stretch(shot.image)[0], wrong) == 8
-    assert find_columns(np.full((200, 200), 90, np.float32), wrong) == 0
 
 
 def test_an_unknown_dictionary_is_the_callers_mistake(shoot):

@@ -9,6 +9,7 @@ import pytest
 
 from binocal import calibrate
 from binocal.boards import parse_board
+from binocal.calibrators import board_and_exposures
 from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.board_and_exposures import solve_real_views
 from binocal.calibrators.summary import joint_problem
@@ -352,6 +353,22 @@ def test_each_camera_alone_and_the_pair_agree_on_a_sound_set():
     assert pair.pair_px == pytest.approx(NOISE_PX, rel=0.05) and pair.ratio == pytest.approx(1, abs=0.03)
     excess, sigma = excess_of_scores(real.reduced(estimate, equations), pair.pair_px)
     assert abs(excess - 1) < 3 * sigma
+
+
+@pytest.mark.parametrize(("board_shape", "exposure"), [("free", "together"), ("warp", "together"), ("flat", "apart")])
+def test_a_solve_that_tells_no_noise_is_given_up_before_variances_are_sought(monkeypatch, board_shape, exposure):
+    """Four blurred views leave nothing of their corners: variances of NaN noise were maximised, with NumPy's warnings."""
+    _, detections = recording(11, 12)
+    problem, minimum = nominal_of(detections)
+    calls = []
+
+    def lost(problem, solve, options, shape):
+        calls.append(options)
+        return replace(solve, problem=problem, noise_px=np.nan)
+
+    monkeypatch.setattr(board_and_exposures, "_minimized", lost)
+    solve = solve_real_views(problem, minimum, board_shape=board_shape, exposure=exposure)
+    assert len(calls) == 1 and np.isfinite(solve.noise_px) and solve.shape is None
 
 
 def test_choices_are_checked(unchecked_types):

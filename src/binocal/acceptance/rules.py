@@ -96,6 +96,10 @@ SHORT_MEAN_SHARE = Limit(
 SHORT_EACH_SHARE = Limit(
     "the same of each principal point", 0.02, "", "both must be short, not one far and one in the middle"
 )
+SHORT_SIGMAS = Limit(
+    "mean distance of both principal points short of the middle over its standard deviation", 4.0, "",
+    "views that leave principal points open, as of blurred images, lie 0.08 short by chance",
+)  # fmt: skip
 RAYLESS_SHARE = Limit(
     "share of the image without ray",
     0.002,
@@ -182,7 +186,8 @@ def _weak_focal_length(calibration: StereoCalibration) -> Figures:
 def _image_size(calibration: StereoCalibration) -> Figures:
     """The stated images look larger than those in which the corners were measured.
 
-    Along an axis both principal points lie short of the middle, and no corner lies beyond the size that would put them there.
+    Along an axis both principal points lie short of the middle, by more than chance, and no corner lies beyond the size that would
+    put them there.
     """
     if calibration.evidence is None:
         return
@@ -191,7 +196,11 @@ def _image_size(calibration: StereoCalibration) -> Figures:
     centres = np.array([rig.left.parameters[2:4], rig.right.parameters[2:4]])
     short = 0.5 - (centres + 0.5) / sizes
     implied = 2 * centres + 1
+    sigma = calibration.covariance.sigma
+    sigmas = np.array([[sigma.get(f"{side}.{axis}", 0.0) for axis in ("cx", "cy")] for side in ("left", "right")])
+    sigma_mean = 0.5 * np.hypot(*(sigmas / sizes))
     is_short = (short.mean(axis=0) > SHORT_MEAN_SHARE.value) & (short.min(axis=0) > SHORT_EACH_SHARE.value)
+    is_short &= short.mean(axis=0) > SHORT_SIGMAS.value * sigma_mean
     if not is_short.any():
         return
     far = np.array([np.nanmax(px, axis=(0, 1)) for px in (detections.left_px, detections.right_px)])
@@ -250,7 +259,7 @@ OBSERVABILITY = (
     Rule("rotation-undetermined", _rotation, (ROTATION_DEG,)),
     Rule("translation-undetermined", _translation, (BASELINE_SHARE,)),
     Rule("focal-length-uncertain", _weak_focal_length, (FOCAL_WARNING_SHARE,)),
-    Rule("image-size-doubtful", _image_size, (SHORT_MEAN_SHARE, SHORT_EACH_SHARE)),
+    Rule("image-size-doubtful", _image_size, (SHORT_MEAN_SHARE, SHORT_EACH_SHARE, SHORT_SIGMAS)),
     Rule("lens-model-folds", _folds, (RAYLESS_SHARE,)),
 )
 OUTLIERS = (Rule("corners-without-weight", _unusual_outliers, (USUAL_OUTLIER_SHARE,)),)

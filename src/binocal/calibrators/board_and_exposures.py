@@ -66,6 +66,7 @@ class RealViewsSolve:
     reduced: ReducedSystem
     """At the minimum, priors weighed against ``noise_px``."""
     noise_px: float
+    """NaN where more was freed than the corners tell."""
     nominal_noise_px: float
     """With the board as drawn and the exposures together."""
     nominal_bundle: BundleEstimate
@@ -175,6 +176,8 @@ def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> R
     if board_shape in ("warp", "free"):
         information = model.warp_information(points) if board_shape == "warp" else model.weak_information()
         solve = _minimized(replace(problem, shape_information=information), solve, FINE, solve.shape)
+        if not np.isfinite(solve.noise_px):
+            return solve
         return replace(solve, shape=_evidence(solve, model, None))  # for what it says of the print's scale
     if not _looks_bent(solve, model):
         return solve
@@ -184,6 +187,8 @@ def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> R
     for attempt in range(MAX_ROUNDS):
         problem = replace(solve.problem, shape_information=model.information(shape.variances))
         solve = _minimized(problem, solve, FINE if attempt else COARSE, shape)
+        if not np.isfinite(solve.noise_px):
+            break
         before, shape = shape.variances, _evidence(solve, model, shape)
         if _is_settled(before, shape.variances, model):
             break
@@ -252,6 +257,8 @@ def _with_exposures_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) 
             problem = replace(problem, shape_information=information)
             solve = replace(solve, shape=shape)
         solve = _minimized(problem, solve, FINE if attempt else COARSE, solve.shape)
+        if not np.isfinite(solve.noise_px):
+            break
         if before and max(abs(np.log(a / b)) for a, b in zip(before, sigma, strict=True)) < SETTLED_LOG:
             break
     return solve

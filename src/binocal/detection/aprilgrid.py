@@ -48,7 +48,7 @@ def detect_aprilgrid(
     Points are in the order of the board as it hangs upright, whichever way its ids run. With a ``layout`` given it is
     taken.
     """
-    ids, quads, border_bits = _find_tags(to_8_bit(stretched), board.columns * board.rows)
+    ids, quads, border_bits = find_tags(to_8_bit(stretched), board.columns * board.rows)
     if len(ids) == 0:
         return not_found(board.n_points, "no tag of the family 36h11 found"), None
     tags = ids - board.first_tag_id
@@ -62,7 +62,7 @@ def detect_aprilgrid(
     tags, quads = tags[known], quads[known]
     if len(tags) < MIN_TAGS:
         return not_found(board.n_points, f"only {len(tags)} tag of the board found; at least {MIN_TAGS} needed"), None
-    is_stray = _find_strays(board, tags, quads)
+    is_stray = _find_strays(board, tags, quads, (grey.shape[1], grey.shape[0]))
     tags, quads = tags[~is_stray], quads[~is_stray]
     ranked = sorted(
         ((_residuals(board, tags, quads, choice)[0], i, choice) for i, choice in enumerate(_LAYOUTS)),
@@ -90,7 +90,7 @@ def detect_aprilgrid(
 _LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (True, False) for turns in range(4))
 
 
-def _find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
+def find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
     """Tags of either border width, in the image with its dark parts thinned by a pixel and, if need be, as it is.
 
     Thinning parts the tags from the small squares that touch their corners and would merge them into one outline; it
@@ -125,13 +125,13 @@ def _point_indices(board: Board, tags: Int[ndarray, "m"], layout: TagLayout) -> 
     return 4 * (row * board.columns + column)[:, None] + corner
 
 
-def _find_strays(board: Board, tags: ndarray, quads: ndarray) -> Bool[ndarray, "m"]:
+def _find_strays(board: Board, tags: ndarray, quads: ndarray, size_wh: tuple[int, int]) -> Bool[ndarray, "m"]:
     """Tags that are none of the board's, where without them the others fit a layout and with them not all do."""
     nowhere = np.zeros(len(tags), bool)
     if min(_residuals(board, tags, quads, choice)[1] for choice in _LAYOUTS) < MAX_STRAY:
         return nowhere
     xy = board.object_points_m[:, :2] / (board.pitch_m * (1 + board.tag_gap_ratio))
-    strays = (find_strays(xy[_point_indices(board, tags, choice)], quads) for choice in _LAYOUTS)
+    strays = (find_strays(xy[_point_indices(board, tags, choice)], quads, size_wh) for choice in _LAYOUTS)
     is_stray = min(strays, key=np.count_nonzero)
     return nowhere if is_stray.all() else is_stray
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.detection.finding.arrangements import charuco_squares
 from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
 from binocal.detection.finding.planes import apply_homography, grid_residuals
 from binocal.detection.finding.regularity import keep_regular
@@ -45,7 +46,7 @@ def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
     (OpenCV 4.6 on) has a dark square at the top left, the legacy one a white square with marker 0.
     """
     first = 0 if layout == "legacy" and board.rows % 2 == 0 else 1
-    return np.array([(x, y) for y in range(board.rows) for x in range(board.columns) if (x + y) % 2 == first])
+    return charuco_squares(board.columns, board.rows, first)
 
 
 def detect_charuco(
@@ -64,7 +65,7 @@ def detect_charuco(
     if not known.any():
         return not_found(board.n_points, f"markers have ids from {ids.min()} on; the board has 0 to {n_board - 1}"), ""
     ids, quads = ids[known], quads[known]
-    readings, is_stray = _read_without_strays(board, ids, quads)
+    readings, is_stray = _read_without_strays(board, ids, quads, (grey.shape[1], grey.shape[0]))
     ids, quads = ids[~is_stray], quads[~is_stray]
     proved = _prove_layout(board, readings)
     reading = readings[layout or proved or "current"]
@@ -81,7 +82,7 @@ def detect_charuco(
 
 
 def _read_without_strays(
-    board: Board, ids: Int[ndarray, "m"], quads: Float[ndarray, "m 4 2"]
+    board: Board, ids: Int[ndarray, "m"], quads: Float[ndarray, "m 4 2"], size_wh: tuple[int, int]
 ) -> tuple[dict[str, _Reading], Bool[ndarray, "m"]]:
     """The markers read in both layouts, without those that are none of the board's, and which those are."""
     layouts: tuple[Layout, ...] = ("current", "legacy")
@@ -89,7 +90,7 @@ def _read_without_strays(
     nowhere = np.zeros(len(ids), bool)
     if min(reading.worst for reading in readings.values()) < MAX_MISFIT:
         return readings, nowhere
-    strays = (find_strays(_marker_places(board, readings[name].squares), quads) for name in layouts)
+    strays = (find_strays(_marker_places(board, readings[name].squares), quads, size_wh) for name in layouts)
     is_stray = min(strays, key=np.count_nonzero)
     if is_stray.all() or not is_stray.any():
         return readings, nowhere
@@ -108,23 +109,6 @@ def _read_layout(board: Board, layout: Layout, ids: ndarray, quads: ndarray) -> 
     residuals = grid_residuals(_marker_places(board, squares).reshape(-1, 2), quads.reshape(-1, 2))
     residuals = residuals / np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).mean()
     return _Reading(layout, squares, float(np.median(residuals)), float(residuals.max()))
-
-
-def find_columns(stretched: Float32[ndarray, "h w"], board: Board) -> int:
-    """Number of columns for which the image's markers of the board's dictionary lie on a plane.
-
-    0 if none or several do.
-    """
-    ids, quads = find_markers(to_8_bit(stretched), get_dictionary(board.dictionary))
-    if len(ids) < 6:
-        return 0
-    fitting = set()
-    for columns in range(2, 31):
-        rows = 2 * (int(ids.max()) // columns + 2)  # even, so that the layouts differ, and enough for every id
-        trial = replace(board, columns=columns, rows=rows)
-        if any(_read_layout(trial, layout, ids, quads).misfit < 0.1 for layout in ("current", "legacy")):
-            fitting.add(columns)
-    return fitting.pop() if len(fitting) == 1 else 0
 
 
 def _prove_layout(board: Board, readings: dict[str, _Reading]) -> Layout:

@@ -18,6 +18,7 @@ from binocal.detection.measuring.centroids import centre_covariance, refine_cent
 from binocal.shapes import Float, Float32, Int
 
 MAX_SHARE_MISSING = 0.1  # of a grid whose outline is complete
+LEAST_OF_UNKNOWN = 12  # circles of a grid of which nothing is known: fewer are found in clutter
 # Every change of basis that can turn a lattice's own steps into the board's: whole numbers -1 to 1, area kept.
 _BASES = [
     np.array([[a, b], [c, d]])
@@ -81,6 +82,24 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
         f"only {n_seen} of the {board.n_points} circles seen ({columns}x{rows})",
         size_seen=(columns, rows),
     )
+
+
+def find_circle_grid(stretched: Float32[ndarray, "h w"]) -> Board | None:
+    """The fullest circle grid in an image, of either kind (its pitch is not known); None where there is none."""
+    fullest: tuple[int, Board] | None = None
+    for is_dark in (True, False):
+        blobs = find_blobs(stretched, is_dark=is_dark)
+        for lattice in grow_point_lattices(blobs.centres_px, blobs.radii_px, least=LEAST_OF_UNKNOWN):
+            n = len(lattice.members)
+            for kind in ("circles", "acircles"):
+                columns, rows = _match(lattice, blobs, Board(kind, 2, 2, is_metric=False)).size_seen
+                if min(columns, rows) < 2 or n < (1 - MAX_SHARE_MISSING) * columns * rows:
+                    continue
+                if kind == "circles":
+                    columns, rows = max(columns, rows), min(columns, rows)
+                if fullest is None or n > fullest[0]:
+                    fullest = n, Board(kind, columns, rows, is_metric=False)
+    return None if fullest is None else fullest[1]
 
 
 def _match(lattice: LatticePoints, blobs: Blobs, board: Board) -> _Match:

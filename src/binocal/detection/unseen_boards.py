@@ -10,10 +10,10 @@ from typing import Any
 
 from binocal.boards import Board
 from binocal.detection.found import FoundBoard
-from binocal.detection.hints import hint_by_trying, hint_from_images
+from binocal.detection.hints import count_signs, hint_from_images
 from binocal.findings import finding, refusal
 
-MIN_SHARE_OF_HINT = 0.2  # of the images must agree on another board before it is proposed
+FEW_FOUND = 0.2  # of the images: so few may be chance where the others that are looked at again agree on another board
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,33 +42,25 @@ def require_board(images: Sequence[LookedAt], board: Board, least_pairs: int) ->
     n_seen = {"left": _count(left), "right": _count(right)}
     n_found, n_pairs = n_seen["left"] + n_seen["right"], len(left)
     n_both = sum(not (a.reason or b.reason) for a, b in zip(left, right, strict=True))
-    what, hint, n_other = hint_from_images(looked, board)
     spec = f"{board.kind}:{board.columns}x{board.rows}"
     common: dict[str, Any] = {"board": spec, "n_images": len(images), "n_pairs": n_pairs}
+    is_few = 0 in n_seen.values() or n_found < FEW_FOUND * len(looked)
+    is_doubtful = is_few or 2 * n_found < len(looked) or count_signs(looked) > n_found
+    hint = hint_from_images(looked, board) if is_doubtful else None
+    if hint is not None and (not n_found or hint.n_other > n_found or (is_few and hint.n_other == hint.n_tried)):
+        counts = {"n_found": n_found, "n_other": hint.n_other, "n_tried": hint.n_tried}
+        raise refusal(finding(hint.code, remedy=hint.remedy, **hint.figures, **counts, **common), _reasons(images))
     if not n_found:
-        if n_other < MIN_SHARE_OF_HINT * len(looked):
-            hint = hint_by_trying([path for path, _ in looked], board)
-        _refuse("board-not-found", images, hint, **common)
-    if n_other > n_found:
-        raise refusal(
-            finding("board-is-another", remedy=hint, n_found=n_found, n_other=n_other, what=what, **common),
-            _reasons(images),
-        )
+        _refuse("board-not-found", images, **common)
     for blind, other, unseen in (("left", "right", left), ("right", "left", right)):
         if not n_seen[blind] and any(image.found for image in unseen):
-            _refuse("board-in-one-camera-only", unseen, "", camera=blind, other=other, n_found=n_seen[other], **common)
+            _refuse("board-in-one-camera-only", unseen, camera=blind, other=other, n_found=n_seen[other], **common)
     if n_both < least_pairs <= n_pairs:
         counts = {"n_left": n_seen["left"], "n_right": n_seen["right"], "n_both": n_both, "n_needed": least_pairs}
-        _refuse(
-            "board-in-too-few-pairs",
-            images,
-            hint if n_other >= MIN_SHARE_OF_HINT * len(looked) else "",
-            **counts,
-            **common,
-        )
+        _refuse("board-in-too-few-pairs", images, **counts, **common)
 
 
-def _refuse(code: str, images: Sequence[LookedAt], hint: str, **figures: Any) -> None:
+def _refuse(code: str, images: Sequence[LookedAt], **figures: Any) -> None:
     """Raises DetectionError of that code: the commonest reason, in how many images, and what to do."""
     why = Counter(image.reason for image in images if image.reason)
     reason, n_reason = why.most_common(1)[0]
@@ -76,7 +68,7 @@ def _refuse(code: str, images: Sequence[LookedAt], hint: str, **figures: Any) ->
     text, _, advice = reason.partition("; ")
     found = finding(
         code,
-        remedy=hint or advice or None,
+        remedy=advice or None,
         reason=text,
         n_reason=n_reason,
         first=first.path.name if first.side in first.path.name else f"{first.side} {first.path.name}",

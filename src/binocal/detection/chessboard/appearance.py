@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -9,9 +10,13 @@ from binocal.detection.finding.grid import grid_spacing
 from binocal.detection.finding.search import SearchLevel
 from binocal.detection.finding.xcorners import WEAK_CONTRAST_DN, WEAK_UNLIKENESS, read_rings
 from binocal.kernels import images
-from binocal.shapes import Bool, Float
+from binocal.shapes import Bool, Float, UInt8
 
 MAX_SHARE_DARK = 0.25  # of a bright square's samples, in the median square: a marker fills more than half of its square
+SQUARE_PX = 24.0  # at which noise is averaged and a marker's border, a tenth of the square, is still seen
+LEAST_SQUARE_PX = (
+    20.0  # below it markers look like grey squares: ChArUco boards were told at 20 px in every rendered case
+)
 FAINT_RATIO = 3.0  # the typical corner's contrast over a covered one's; a shadow dims brightness and contrast alike
 RING_PER_SPACING = 0.2  # of the typical spacing, within RING_LIMITS_PX: well within the squares about the corner
 RING_LIMITS_PX = (2.5, 8.0)
@@ -42,6 +47,25 @@ def are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2"
     values, dark = values[usable], dark[usable]
     share_dark = np.mean(values < 0.5 * (dark + values.max(axis=-1))[:, None], axis=-1)
     return bool(np.median(share_dark) > MAX_SHARE_DARK)
+
+
+def is_board_patterned(image: UInt8[ndarray, "h w"], grid_px: Float[ndarray, "rows columns 2"]) -> bool:
+    """As :func:`are_squares_patterned`, of a board in the image itself, made smaller to squares of 24 px.
+
+    In the coarse image of a search markers of 20 px are blurred away. Which squares are dark is taken from their middles.
+    """
+    low = np.maximum(np.nanmin(grid_px, axis=(0, 1)).astype(int), 0)
+    high = np.nanmax(grid_px, axis=(0, 1)).astype(int) + 2
+    part = image[low[1] : high[1], low[0] : high[0]]
+    scale = min(1.0, SQUARE_PX / float(np.nanmedian(grid_spacing(grid_px))))
+    small = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 0.8)
+    grid = (grid_px - low + 0.5) * (np.array(small.shape[::-1]) / part.shape[::-1]) - 0.5
+    middles = 0.25 * (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, 1:] + grid[1:, :-1])
+    values = np.where(np.isfinite(middles[..., 0]), images.sample(smooth, middles), np.nan)
+    is_even = np.add.outer(np.arange(values.shape[0]), np.arange(values.shape[1])) % 2 == 0
+    is_dark_first = bool(np.nanmedian(values[is_even]) < np.nanmedian(values[~is_even]))
+    return are_squares_patterned(smooth, grid, is_dark_first)
 
 
 def are_faint(

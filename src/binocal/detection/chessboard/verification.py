@@ -8,7 +8,12 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.detection.chessboard.appearance import are_faint, are_squares_patterned
+from binocal.detection.chessboard.appearance import (
+    LEAST_SQUARE_PX,
+    are_faint,
+    are_squares_patterned,
+    is_board_patterned,
+)
 from binocal.detection.chessboard.decision import several_boards, too_large
 from binocal.detection.chessboard.orientation import orient
 from binocal.detection.chessboard.rivals import boards_among
@@ -75,7 +80,7 @@ class _Measured:
 def verify(shot: BoardImage, candidate: Candidate) -> FoundBoard:
     """Orient, measure at full resolution and check a lattice of the board's size."""
     rivals = boards_among(candidate.level.lattices, candidate.lattice, size_wh=candidate.level.size_wh)[1:]
-    refused = _find_contradiction(shot.board, candidate, rivals)
+    refused = _find_contradiction(shot, candidate, rivals)
     if refused is not None:
         return refused
     grid = candidate.level.to_image(orient(candidate.lattice, shot.board))
@@ -94,17 +99,27 @@ def verify(shot: BoardImage, candidate: Candidate) -> FoundBoard:
     return FoundBoard(measured.points_px, covariance, note=_note(n_seen, n, rivals), cross_covariance_px2=cross)
 
 
-def _find_contradiction(board: Board, candidate: Candidate, rivals: list[Lattice]) -> FoundBoard | None:
+def _find_contradiction(shot: BoardImage, candidate: Candidate, rivals: list[Lattice]) -> FoundBoard | None:
     """Why a lattice of the board's size is not the board after all; None if nothing speaks against it."""
-    lattice, level = candidate.lattice, candidate.level
+    board, lattice, level = shot.board, candidate.lattice, candidate.level
     if len(rivals) > 1 or any(rival.size == lattice.size for rival in rivals):
         return several_boards(board, [lattice, *rivals])
     if continues_beyond(level.saddles, level.corners, lattice):
         return too_large(board, None)
-    if are_squares_patterned(level.saddles.smooth, lattice.points_px, lattice.is_dark_first):
+    if _is_patterned(shot, candidate):
         text = "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
         return replace(not_found(board.n_points, text), is_patterned=True)
     return None
+
+
+def _is_patterned(shot: BoardImage, candidate: Candidate) -> bool:
+    """Whether its bright squares are: in the level's image where squares are large enough there, else in the image itself."""
+    lattice, level = candidate.lattice, candidate.level
+    if np.nanmedian(grid_spacing(lattice.points_px)) < LEAST_SQUARE_PX:
+        grid = level.to_image(lattice.points_px)
+        if np.nanmedian(grid_spacing(grid)) >= LEAST_SQUARE_PX:
+            return is_board_patterned(shot.image, grid)
+    return are_squares_patterned(level.saddles.smooth, lattice.points_px, lattice.is_dark_first)
 
 
 def _note(n_seen: int, n: int, rivals: list[Lattice]) -> str:

@@ -2,7 +2,7 @@
 
 One such marker lies anywhere, far from where its id belongs, and least squares over all markers would fold the board.
 Whether markers belong together is therefore asked of small groups, whose homography no lens bends much: the board is the
-largest set in which every marker lies where those beside it put it.
+largest set in which every marker lies where those beside it put it, and the markers that lie where the lens puts them by these.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.finding.planes import apply_homography, fit_homography
+from binocal.detection.finding.planes import apply_homography, expected_points, fit_homography
 from binocal.shapes import Bool, Float
 
 MOST_SEEDS = 24  # groups that are tried: with half of the markers stray, a sixth of the groups is still clean
@@ -24,10 +24,13 @@ MIN_SHARE_AGREEING = (
 MIN_AGREEING = 3  # of two markers neither is more credible than the other
 
 
-def find_strays(places: Float[ndarray, "m 4 2"], quads_px: Float[ndarray, "m 4 2"]) -> Bool[ndarray, "m"]:
+def find_strays(
+    places: Float[ndarray, "m 4 2"], quads_px: Float[ndarray, "m 4 2"], size_wh: tuple[int, int]
+) -> Bool[ndarray, "m"]:
     """Which markers lie elsewhere than most of the others put them; all of them where no majority agrees.
 
-    ``places`` are the markers' corners on the board by their ids, ``quads_px`` the same corners in the image.
+    ``places`` are the markers' corners on the board by their ids, ``quads_px`` the same corners in the image, whose width and
+    height are ``size_wh``.
     """
     everywhere = np.ones(len(places), bool)
     if len(places) < MIN_AGREEING:
@@ -38,7 +41,21 @@ def find_strays(places: Float[ndarray, "m 4 2"], quads_px: Float[ndarray, "m 4 2
     agreeing = markers.grown(best)
     if np.count_nonzero(agreeing) < max(MIN_AGREEING, MIN_SHARE_AGREEING * len(places)):
         return everywhere
-    return ~agreeing
+    return ~agreeing if agreeing.all() else _off_lens(markers, ~agreeing, size_wh)
+
+
+def _off_lens(markers: _Markers, is_stray: Bool[ndarray, "m"], size_wh: tuple[int, int]) -> Bool[ndarray, "m"]:
+    """Those of the strays that the image's own lens puts elsewhere too: large markers near the rim of a wide lens are none."""
+    for _ in range(np.count_nonzero(is_stray)):
+        known = np.where(is_stray[:, None, None], np.nan, markers.quads_px).reshape(-1, 2)
+        side_px = float(np.median(markers.side_px[~is_stray]))
+        expected = expected_points(markers.places.reshape(-1, 2), known, side_px, size_wh).reshape(-1, 4, 2)
+        off_px = np.linalg.norm(expected - markers.quads_px, axis=-1).max(axis=1)
+        is_found = is_stray & (off_px < MAX_OFF * markers.side_px)
+        if not is_found.any():
+            break
+        is_stray = is_stray & ~is_found
+    return is_stray
 
 
 def stray_note(n_stray: int, word: str) -> str:

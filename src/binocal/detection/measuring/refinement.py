@@ -22,6 +22,7 @@ FLOOR_PX = 0.015  # its bias on exact corners
 # boards, exposed 2 to 6 times too long, with blurs of 0.6 to 1.5 px.
 BURNT_OUT_PX = 0.06
 BURNT_OUT_SHARE = 0.2  # of a corner's window at the top of the range, for it to be so
+LEAST_SATURATED_SHARE = 0.005  # of an image's pixels: less is no board's paper, and need not be looked for
 
 
 def measure_corners(
@@ -156,18 +157,33 @@ def corner_covariance(
     return variance[:, None, None] * np.where(np.isfinite(variance)[:, None, None], np.eye(2), np.nan)
 
 
+def is_burnt_out(grey: ndarray, points_px: Float[ndarray, "n 2"]) -> bool:
+    """Whether the paper saturates beside most of the points that were seen, NaN where not."""
+    seen = points_px[np.isfinite(points_px[:, 0])]
+    sample = np.ascontiguousarray(grey[::8, ::8])
+    if len(seen) < 2 or np.mean(sample >= _top_of(grey)) < LEAST_SATURATED_SHARE:
+        return False
+    apart = np.linalg.norm(seen[:, None] - seen, axis=-1) + np.where(np.eye(len(seen)), np.inf, 0.0)
+    return bool(np.mean(_are_burnt_out(grey, seen, apart.min(axis=1), WINDOW_PER_SPACING)) > 0.5)
+
+
+def _top_of(grey: ndarray) -> float:
+    """The top of the range: 254 of 8 bits, else the image's greatest value."""
+    return 254 if grey.dtype == np.uint8 else cv2.minMaxLoc(grey)[1]
+
+
 def _are_burnt_out(
     grey: ndarray, points_px: Float[ndarray, "n 2"], spacing_px: Float[ndarray, "n"], per_spacing: float
 ) -> Bool[ndarray, "n"]:
-    """At which points much of the window is at the top of the range: 254 of 8 bits, else the image's greatest value."""
+    """At which points much of the window is at the top of the range."""
     usable, half = _half_windows(points_px, spacing_px, per_spacing)
-    top = 254 if grey.dtype == np.uint8 else cv2.minMaxLoc(grey)[1]
+    top = _top_of(grey)
     height, width = grey.shape
-    is_burnt_out = np.zeros(len(points_px), bool)
+    are_burnt_out = np.zeros(len(points_px), bool)
     for i in np.nonzero(usable)[0]:
         x, y = np.rint(points_px[i]).astype(int)
         window = grey[
             max(y - half[i], 0) : min(y + half[i] + 1, height), max(x - half[i], 0) : min(x + half[i] + 1, width)
         ]
-        is_burnt_out[i] = window.size > 0 and np.mean(window >= top) > BURNT_OUT_SHARE
-    return is_burnt_out
+        are_burnt_out[i] = window.size > 0 and np.mean(window >= top) > BURNT_OUT_SHARE
+    return are_burnt_out
