@@ -179,7 +179,7 @@ struct LensOptions {
 class ImageLensFit {
   public:
     ImageLensFit(const std::vector<LensPoint>& points, double width, double height, const LensOptions& options)
-        : points_(points), options_(options), lens_(width, height), weights_(points.size(), 1.0), lengths_(points.size(), 0.0) {
+        : points_(points), options_(options), lens_(width, height), weights_(points.size(), 1.0), lengths_(points.size(), 0.0), rays_(points.size()) {
         lens_.adapt(points);
     }
 
@@ -260,11 +260,17 @@ class ImageLensFit {
 
     // The residuals' lengths, and the weighted sum of their squares.
     double measure() {
+        for (std::size_t i = 0; i < points_.size(); ++i) rays_[i] = lens_.ray(points_[i].x, points_[i].y);
+        return measure_along_rays();
+    }
+
+    // The same where only H has changed since.
+    double measure_along_rays() {
         double sum = 0;
         LensResidual at;
         for (std::size_t i = 0; i < points_.size(); ++i) {
             const LensPoint& point = points_[i];
-            const bool is_seen = lens_.residual(lens_.direction(point.X, point.Y), lens_.ray(point.x, point.y), at);
+            const bool is_seen = lens_.residual(lens_.direction(point.X, point.Y), rays_[i], at);
             lengths_[i] = is_seen ? std::min(std::sqrt(at.e[0] * at.e[0] + at.e[1] * at.e[1]), 0.999 * kBehind_px) : kBehind_px;
             sum += weights_[i] * lengths_[i] * lengths_[i];
         }
@@ -277,13 +283,14 @@ class ImageLensFit {
         for (double& value : lens_.p) value = 0;
         lens_.p[0] = w;
         lens_.scale_depth();
+        for (std::size_t i = 0; i < points_.size(); ++i) rays_[i] = lens_.ray(points_[i].x, points_[i].y);
         std::vector<double> over_t(points_.size(), 1.0);
         for (int pass = 0; pass < 2 + n_robust; ++pass) {
             double A[81] = {};
             for (std::size_t i = 0; i < points_.size(); ++i) {
                 const LensPoint& point = points_[i];
                 double B[2][3];
-                lens_.motion(lens_.ray(point.x, point.y), B);
+                lens_.motion(rays_[i], B);
                 const double X[3] = {(point.X - lens_.board_x) / lens_.board_scale, (point.Y - lens_.board_y) / lens_.board_scale, 1};
                 const double weight = weights_[i] * over_t[i] / (lens_.unit_px() * lens_.unit_px());
                 for (int k : {0, 1}) {
@@ -296,9 +303,9 @@ class ImageLensFit {
             }
             if (!least_direction(A)) return false;
             orient();
-            measure();
+            measure_along_rays();
             for (std::size_t i = 0; i < points_.size(); ++i) {
-                const LensRay ray = lens_.ray(points_[i].x, points_[i].y);
+                const LensRay& ray = rays_[i];
                 const Vector3 m = lens_.direction(points_[i].X, points_[i].Y);
                 const double t = (m.x * ray.dx + m.y * ray.dy + m.z * ray.depth) / (ray.r2 + ray.depth * ray.depth);
                 over_t[i] = 1 / std::max(t * t, 1e-6);
@@ -332,7 +339,7 @@ class ImageLensFit {
     void orient() {
         double before = 0;
         for (std::size_t i = 0; i < points_.size(); ++i) {
-            const LensRay ray = lens_.ray(points_[i].x, points_[i].y);
+            const LensRay& ray = rays_[i];
             const Vector3 m = lens_.direction(points_[i].X, points_[i].Y);
             before += weights_[i] * (m.x * ray.dx + m.y * ray.dy + m.z * ray.depth > 0 ? 1 : -1);
         }
@@ -349,17 +356,19 @@ class ImageLensFit {
     // Levenberg's and Marquardt's steps in H and the lens, from what is there.
     void refine() {
         lens_.scale_depth();
-        const double noise2 = noise_px2();
-        double cost = measure() + prior(noise2), damping = 1e-4;
+        const double squares = measure(), noise2 = noise_px2();
+        double cost = squares + prior(noise2), damping = 1e-4;
         for (int round = 0; round < 12 && damping < 1e6; ++round) {
             const ImageLens before = lens_;
             if (!step(noise2, damping)) {
+                lens_ = before;
                 damping *= 10;
                 continue;
             }
             const double after = measure() + prior(noise2);
             if (!(after < cost)) {
                 lens_ = before;
+                measure();
                 damping *= 10;
                 if (after - cost < 1e-9 * cost) break;
                 continue;
@@ -369,12 +378,10 @@ class ImageLensFit {
             damping = std::max(0.1 * damping, 1e-9);
             if (is_done) break;
         }
-        measure();
     }
 
-    // The corners' noise against the priors: what is left of them now, at least kLensNoise_px, at most 1 px.
-    double noise_px2() {
-        measure();
+    // The corners' noise against the priors: what was left of them when measured, at least kLensNoise_px, at most 1 px.
+    double noise_px2() const {
         std::vector<double> sorted = lengths_;
         std::nth_element(sorted.begin(), sorted.begin() + sorted.size() / 2, sorted.end());
         const double noise = std::min(std::max(sorted[sorted.size() / 2] / 1.1774, kLensNoise_px), 1.0);
@@ -388,7 +395,7 @@ class ImageLensFit {
         for (std::size_t i = 0; i < points_.size(); ++i) {
             if (weights_[i] < 1e-6) continue;
             const LensPoint& point = points_[i];
-            const LensRay ray = lens_.ray(point.x, point.y);
+            const LensRay& ray = rays_[i];  // of the last measurement
             if (!lens_.residual(lens_.direction(point.X, point.Y), ray, at)) continue;
             const double X[3] = {(point.X - lens_.board_x) / lens_.board_scale, (point.Y - lens_.board_y) / lens_.board_scale, 1};
             const double by_s = lens_.f * ray.dphi;
@@ -435,6 +442,7 @@ class ImageLensFit {
     LensOptions options_;
     ImageLens lens_;
     std::vector<double> weights_, lengths_;
+    std::vector<LensRay> rays_;  // of the points, by the lens when last measured
 };
 
 // Where places of the board lie in the image, by Newton's method from the point that is nearest on the board; NaN where that leads
