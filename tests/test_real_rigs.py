@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from binocal import app
+from binocal.app.corners import detect_corners
 from binocal.benchmark.agent import largest_difference_sigma
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
@@ -129,7 +130,7 @@ def test_heat_maps_give_the_rig_of_their_raw_images_with_doubt(data_dir):
 def test_few_views_of_heat_maps_leak_no_warning(data_dir):
     """With the board freed these four leave no view determined: the noise is NaN, and what follows from it was computed."""
     folder = data_dir / "thermal_stereo_aditya" / "heatmap"
-    detections = app.detect_corners(str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:7x6"))
+    detections = detect_corners(str(folder / "left*"), str(folder / "right*"), parse_board("chessboard:7x6"))
     try:
         calibration = calibrate(detections.select(np.array([5, 6, 8, 10])), model="brown4", calibrator="lm")
     except BinocalError as error:

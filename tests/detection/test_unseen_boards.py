@@ -82,6 +82,14 @@ def test_another_board_is_named_and_proposed(folders, shown, given):
     assert re.search(f"did you mean {SHOWN[shown]}( \\(|\\?)", str(error)), str(error)
 
 
+@pytest.mark.parametrize("given", ["chessboard:9x6:30mm", "chessboard:7x4:30mm"])
+def test_no_image_of_a_charuco_board_counts_a_piece_of_it_as_a_chessboard(folders, given):
+    """The first images of release 0.1 said that the SPEC was probably chessboard:8x5."""
+    reasons = refusal_of(folders("charuco:9x6:30mm:22mm:DICT_6X6_250", is_legacy_charuco=True), given).reasons
+    assert len(reasons) == 4 and any("ChArUco" in reason for reason in reasons.values())
+    assert not any("probably" in reason or "corners of the board's" in reason for reason in reasons.values()), reasons
+
+
 def test_markers_of_a_board_cut_off_propose_no_number_of_rows(folders, shoot):
     """Where the images end within the board, more rows may follow."""
     shot = shoot("charuco:8x12:30mm:22mm:DICT_5X5_50", (0.1, -0.2, 0.0), distance=0.75, size_wh=(800, 600))

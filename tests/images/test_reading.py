@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import struct
 import subprocess
 import sys
@@ -16,6 +17,9 @@ from binocal.images.containers import identify_container
 from binocal.images.reading import read_stored_image
 from binocal.images.tiff import count_pages
 
+needs_glibc = pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="what decoders print is caught by the GNU C library only"
+)
 SHAPES = {"grey": (48, 64), "colour": (48, 64, 3), "alpha": (48, 64, 4)}
 
 
@@ -45,6 +49,53 @@ def test_depth_and_colours_are_kept_and_alpha_is_dropped(tmp_path, suffix, dtype
     if kind != "alpha":
         assert np.array_equal(read, image)
     assert read_grey_image(tmp_path / f"a{suffix}").shape == (48, 64)
+
+
+def damaged_jpeg():
+    """A JPEG file whose container is whole and whose coded pixels are not: a third of them is missing."""
+    content = encode(".jpg", sample_image("colour"))
+    start = content.index(b"\xff\xda") + 14
+    third = (len(content) - start) // 3
+    return content[: start + third] + content[start + 2 * third :]
+
+
+def damaged_png():
+    """A PNG file whose checksums hold and whose compressed data are not what they were."""
+    content = encode(".png", sample_image())
+    at = content.index(b"IDAT")
+    (length,) = struct.unpack(">I", content[at - 4 : at])
+    data = bytearray(content[at + 4 : at + 4 + length])
+    data[length // 2 : length // 2 + 40] = bytes(40)
+    chunk = b"IDAT" + bytes(data)
+    return content[:at] + chunk + struct.pack(">I", zlib.crc32(chunk)) + content[at + 8 + length :]
+
+
+@needs_glibc
+@pytest.mark.parametrize(
+    ("name", "make", "words"),
+    [
+        ("a.jpg", damaged_jpeg, "damaged JPEG file .Corrupt JPEG data"),
+        ("a.png", damaged_png, "damaged PNG file .libpng error"),
+    ],
+)
+def test_damage_that_only_the_decoder_sees_is_refused_in_one_line_of_ours(tmp_path, capfd, name, make, words):
+    """OpenCV gives an image of it, grey from there on, and libjpeg printed its own line past Python's stderr."""
+    (tmp_path / name).write_bytes(make())
+    for read in (read_image, read_grey_image):
+        with pytest.raises(FormatError, match=words) as caught:
+            read(tmp_path / name)
+        assert "\n" not in str(caught.value) and "again" in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_padding_before_the_end_of_a_jpeg_is_no_damage(tmp_path, capfd):
+    """Some cameras pad their files; the pixels are whole."""
+    content = encode(".jpg", cv2.GaussianBlur(sample_image("colour"), (0, 0), 4))
+    (tmp_path / "a.jpg").write_bytes(content)
+    (tmp_path / "b.jpg").write_bytes(content[:-2] + bytes(5) + content[-2:])
+    assert np.array_equal(read_image(tmp_path / "a.jpg"), read_image(tmp_path / "b.jpg"))
+    if platform.libc_ver()[0] == "glibc":
+        assert capfd.readouterr() == ("", "")
 
 
 def test_a_jpegs_luma_is_its_grey(tmp_path):

@@ -1,12 +1,14 @@
 """Reading images strictly: a file is a whole image of a supported kind, or a named error.
 
 Decoders are forgiving where a calibration must not be: a truncated JPEG decodes to an image whose lower half is grey.
-So the container's own structure is walked first (:mod:`binocal.images.containers`), and only then is it decoded.
+So the container's own structure is walked first (:mod:`binocal.images.containers`), and only then is it decoded. What the decoders
+say of damage they print; it is caught, and refuses the file.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
 import struct
 from dataclasses import dataclass
 from os import PathLike
@@ -21,10 +23,16 @@ from binocal.images.containers import identify_container, structure_problem
 from binocal.images.opencv_settings import quiet_opencv
 from binocal.images.tiff import count_pages, without_orientation
 from binocal.input_file import read_file
+from binocal.kernels.library_words import caught_words
 from binocal.shapes import UInt8, UInt16
 
 Image: TypeAlias = "UInt8[ndarray, 'h w'] | UInt16[ndarray, 'h w'] | UInt8[ndarray, 'h w 3'] | UInt16[ndarray, 'h w 3']"
 GreyImage: TypeAlias = "UInt8[ndarray, 'h w'] | UInt16[ndarray, 'h w']"
+
+# What libjpeg and libpng print, and in no other way say, of pixels that they could not decode and made up. Bytes before the end
+# marker are padding, which some cameras write. Source: jerror.h of libjpeg-turbo 3, its warnings JWRN_...; pngerror.c of libpng 1.6.
+_DAMAGE = re.compile(r"Corrupt JPEG data|Premature end of JPEG|Inconsistent progression|libpng error")
+_HARMLESS = re.compile(r"Corrupt JPEG data: \d+ extraneous bytes before marker 0xd9")
 
 _REMEDY = "export it as 8- or 16-bit PNG, TIFF, JPEG or BMP"
 
@@ -124,11 +132,14 @@ def _decode(path: Path, content: bytes, *, as_grey: bool) -> ndarray:
     flags = cv2.IMREAD_UNCHANGED
     if as_grey and container == "JPEG":
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-    with quiet_opencv():
+    with quiet_opencv(), caught_words() as words:
         try:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except (cv2.error, MemoryError):
             image = None
+    damage = next((word for word in words if _DAMAGE.match(word) and not _HARMLESS.match(word)), "")
+    if damage:
+        raise FormatError(path, f"is a damaged {container} file ({damage.strip()}); copy or record the image again")
     if image is None or image.size == 0:
         raise FormatError(path, f"is a damaged or unsupported {container} file; {_REMEDY}")
     if image.dtype not in (np.uint8, np.uint16):

@@ -12,11 +12,11 @@ from binocal.boards import Board
 from binocal.detection.chessboard.decision import Decision, decide, refused_board
 from binocal.detection.chessboard.rivals import boards_among
 from binocal.detection.chessboard.sightings import Candidate, Sightings
-from binocal.detection.chessboard.verification import BoardImage, verify
+from binocal.detection.chessboard.verification import BoardImage, is_patterned, verify
 from binocal.detection.finding.growth import grow
 from binocal.detection.finding.lattice import Lattice
 from binocal.detection.finding.search import scaled_levels, stretched_levels
-from binocal.detection.found import FoundBoard
+from binocal.detection.found import FoundBoard, not_found
 from binocal.shapes import UInt8
 
 
@@ -52,7 +52,17 @@ def detect_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board)
                     return found
                 sightings = replace(sightings, part=None)
             case Decision.REFUSE:
-                return refused_board(sightings, board)
+                return _refused(shot, sightings)
+
+
+def _refused(shot: BoardImage, sightings: Sightings) -> FoundBoard:
+    """The board as not found; what looks like a chessboard of another size may be a piece of a ChArUco board."""
+    found = refused_board(sightings, shot.board)
+    other, level = sightings.other, sightings.other_level
+    if found.size_seen is None or other is None or level is None or not is_patterned(shot, Candidate(other, level)):
+        return found
+    text = "the bright squares of what was seen hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
+    return not_found(shot.board.n_points, text)
 
 
 def find_chessboard_size(image: UInt8[ndarray, "h w"]) -> tuple[int, int] | None:

@@ -49,6 +49,8 @@ class Sightings:
     """Boards where more than one was seen at once."""
     other: Lattice | None = None
     """The fullest board of another size."""
+    other_level: SearchLevel | None = None
+    """The search that showed it."""
     part: Candidate | None = None
     """The fullest lattice of another size, whole or not."""
     larger: tuple[int, int] | None = None
@@ -76,17 +78,23 @@ class Sightings:
         boards = boards_among(level.lattices, size_wh=level.size_wh)
         if len(boards) > 1:  # or pieces of one, which a finer search puts together
             return {"several": self.several or tuple(boards)}
-        part, other = self.part, self.other
+        part, other, other_level = self.part, self.other, self.other_level
         for lattice in level.lattices:
             is_large = min(lattice.points_px.shape[:2]) >= MIN_LINES
             if is_large and (part is None or lattice.n_seen > part.lattice.n_seen):
                 part = Candidate(lattice, level)
         if boards and (other is None or boards[0].n_seen > other.n_seen):
-            other = boards[0]
+            other, other_level = boards[0], level
         size = boards[0].size if boards else (0, 0)
         larger = size if size[0] > self.size[0] or size[1] > self.size[1] else None
         agrees = larger is not None and larger == self.larger
-        return {"part": part, "other": other, "larger": larger, "agrees_on_larger": agrees}
+        return {
+            "part": part,
+            "other": other,
+            "other_level": other_level,
+            "larger": larger,
+            "agrees_on_larger": agrees,
+        }
 
     def with_refused(self, found: FoundBoard) -> Sightings:
         """With a candidate's refusal; the first one counts."""

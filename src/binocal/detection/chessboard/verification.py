@@ -106,14 +106,14 @@ def _find_contradiction(shot: BoardImage, candidate: Candidate, rivals: list[Lat
         return several_boards(board, [lattice, *rivals])
     if continues_beyond(level.saddles, level.corners, lattice):
         return too_large(board, None)
-    if _is_patterned(shot, candidate):
+    if is_patterned(shot, candidate):
         text = "the bright squares hold patterns; is this a ChArUco board (charuco:... in the SPEC)?"
         return replace(not_found(board.n_points, text), is_patterned=True)
     return None
 
 
-def _is_patterned(shot: BoardImage, candidate: Candidate) -> bool:
-    """Whether its bright squares are: in the level's image where squares are large enough there, else in the image itself."""
+def is_patterned(shot: BoardImage, candidate: Candidate) -> bool:
+    """Whether a candidate's bright squares hold patterns: in the level's image where squares are large enough there, else in the image itself."""
     lattice, level = candidate.lattice, candidate.level
     if np.nanmedian(grid_spacing(lattice.points_px)) < LEAST_SQUARE_PX:
         grid = level.to_image(lattice.points_px)

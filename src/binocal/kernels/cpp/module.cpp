@@ -10,6 +10,7 @@ NB_MODULE(_kernel, module) {
     binocal::register_corner_fit(module);
     binocal::register_image_lens(module);
     binocal::register_joint_views(module);
+    binocal::register_library_words(module);
     binocal::register_motion(module);
     binocal::register_observe(module);
     binocal::register_template_match(module);
