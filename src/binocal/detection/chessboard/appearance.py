@@ -17,6 +17,7 @@ SQUARE_PX = 24.0  # at which noise is averaged and a marker's border, a tenth of
 LEAST_SQUARE_PX = (
     20.0  # below it markers look like grey squares: ChArUco boards were told at 20 px in every rendered case
 )
+MOST_LOOKED_AT = 5  # corners along an axis
 FAINT_RATIO = 3.0  # the typical corner's contrast over a covered one's; a shadow dims brightness and contrast alike
 RING_PER_SPACING = 0.2  # of the typical spacing, within RING_LIMITS_PX: well within the squares about the corner
 RING_LIMITS_PX = (2.5, 8.0)
@@ -49,22 +50,32 @@ def are_squares_patterned(smooth: ndarray, grid: Float[ndarray, "rows columns 2"
     return bool(np.median(share_dark) > MAX_SHARE_DARK)
 
 
-def is_board_patterned(image: UInt8[ndarray, "h w"], grid_px: Float[ndarray, "rows columns 2"]) -> bool:
+def is_board_patterned(
+    image: UInt8[ndarray, "h w"], grid_px: Float[ndarray, "rows columns 2"], spacing_px: float
+) -> bool:
     """As :func:`are_squares_patterned`, of a board in the image itself, made smaller to squares of 24 px.
 
-    In the coarse image of a search markers of 20 px are blurred away. Which squares are dark is taken from their middles.
+    In the coarse image of a search markers of 20 px are blurred away. Which squares are dark is taken from their middles; some in
+    the middle of the board are enough.
     """
+    rows, columns = (
+        slice(max(n - MOST_LOOKED_AT, 0) // 2, max(n - MOST_LOOKED_AT, 0) // 2 + MOST_LOOKED_AT)
+        for n in grid_px.shape[:2]
+    )
+    if np.isfinite(grid_px[rows, columns, 0]).sum() > MOST_LOOKED_AT**2 / 2:
+        grid_px = grid_px[rows, columns]
     low = np.maximum(np.nanmin(grid_px, axis=(0, 1)).astype(int), 0)
     high = np.nanmax(grid_px, axis=(0, 1)).astype(int) + 2
     part = image[low[1] : high[1], low[0] : high[0]]
-    scale = min(1.0, SQUARE_PX / float(np.nanmedian(grid_spacing(grid_px))))
+    scale = min(1.0, SQUARE_PX / spacing_px)
     small = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 0.8)
     grid = (grid_px - low + 0.5) * (np.array(small.shape[::-1]) / part.shape[::-1]) - 0.5
     middles = 0.25 * (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, 1:] + grid[1:, :-1])
-    values = np.where(np.isfinite(middles[..., 0]), images.sample(smooth, middles), np.nan)
-    is_even = np.add.outer(np.arange(values.shape[0]), np.arange(values.shape[1])) % 2 == 0
-    is_dark_first = bool(np.nanmedian(values[is_even]) < np.nanmedian(values[~is_even]))
+    is_whole = np.isfinite(middles[..., 0])
+    values, is_even = images.sample(smooth, middles), np.add.outer(*map(np.arange, middles.shape[:2])) % 2 == 0
+    even, odd = values[is_even & is_whole], values[~is_even & is_whole]
+    is_dark_first = bool(len(even) and len(odd) and np.median(even) < np.median(odd))
     return are_squares_patterned(smooth, grid, is_dark_first)
 
 

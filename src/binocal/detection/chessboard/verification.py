@@ -115,10 +115,11 @@ def _find_contradiction(shot: BoardImage, candidate: Candidate, rivals: list[Lat
 def is_patterned(shot: BoardImage, candidate: Candidate) -> bool:
     """Whether a candidate's bright squares hold patterns: in the level's image where squares are large enough there, else in the image itself."""
     lattice, level = candidate.lattice, candidate.level
-    if np.nanmedian(grid_spacing(lattice.points_px)) < LEAST_SQUARE_PX:
-        grid = level.to_image(lattice.points_px)
-        if np.nanmedian(grid_spacing(grid)) >= LEAST_SQUARE_PX:
-            return is_board_patterned(shot.image, grid)
+    spacing = grid_spacing(lattice.points_px)
+    spacing_px = float(np.median(spacing[np.isfinite(spacing)]))
+    in_image_px = spacing_px / float(level.matrix[0, 0])
+    if spacing_px < LEAST_SQUARE_PX <= in_image_px:
+        return is_board_patterned(shot.image, level.to_image(lattice.points_px), in_image_px)
     return are_squares_patterned(level.saddles.smooth, lattice.points_px, lattice.is_dark_first)
 
 
