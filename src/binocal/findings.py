@@ -122,6 +122,44 @@ _KINDS = (
         "moment; {remedy}.",
         "leave the pair out, or see what moved",
     ),
+    # --- lines of natural images
+    FindingKind(
+        "lines-too-few", _R, "Too few straight lines are seen",
+        "the image with most straight edges shows {n_segments} of them ({n_images} images), {n_needed} are needed: the images are black, "
+        "blurred, or do not show what people build; {remedy}.",
+        "give sharp images of a street or a room", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lines-without-families", _R, "The straight lines run in no common directions",
+        "no image shows lines that are parallel in the scene (up to {n_segments} segments in {n_images} images, which meet as chance has "
+        "it): texture and plants tell nothing of a camera; {remedy}.",
+        "give images of a street or a room", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lines-in-one-family", _R, "All parallel lines run in one direction",
+        "the images show one family of parallel lines ({n_segments} segments in {image}), and two at right angles are needed; {remedy}.",
+        "turn the camera so that it sees a second wall, or the floor with a wall", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lines-not-at-right-angles", _R, "No camera makes the families of lines orthogonal",
+        "in {n_images} images lines run in two or more directions, but one camera sees them at right angles in {n_agreeing} only; "
+        "{remedy}.",
+        "give uncropped images of one camera, of things built at right angles, or the rig's file so that the lens can be taken out",
+        InconsistentViewsError,
+    ),
+    FindingKind(
+        "vanishing-points-far", _R, "The vanishing points are too far away to tell a camera",
+        "the lines tell neither focal length nor principal point (standard deviations: focal length {focal_sigma_percent:.0f} %, cx "
+        "{cx_sigma_px:.0f} px, cy {cy_sigma_px:.0f} px, where {assumed_sigma_px:.0f} px were assumed): they look nearly parallel in the "
+        "image; {remedy}.",
+        "turn the camera by 20 to 45 degrees against walls and floor", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "vanishing-points-far-focal-untold", _W, "The lines tell the principal point, not the focal length",
+        "the lines tell {told}, but not the focal length (standard deviation {focal_sigma_percent:.0f} %): only one vanishing point is "
+        "near; {remedy}.",
+        "turn the camera by 20 to 45 degrees against walls and floor",
+    ),
     # --- a solved rig that is no result
     FindingKind(
         "corners-do-not-fit", _R, "Residuals are large against the spacing of the corners",
