@@ -12,10 +12,26 @@ SIZE = (1280, 960)
 
 def frame(yaw_deg, pitch_deg=0.0, roll_deg=0.0):
     """R_camera_scene of a camera turned so far from looking along the third axis."""
-    return so3.exp(np.radians([pitch_deg, 0, 0])) @ so3.exp(np.radians([0, yaw_deg, 0])) @ so3.exp(np.radians([0, 0, roll_deg]))
+    return (
+        so3.exp(np.radians([pitch_deg, 0, 0]))
+        @ so3.exp(np.radians([0, yaw_deg, 0]))
+        @ so3.exp(np.radians([0, 0, roll_deg]))
+    )
 
 
-def room(rng, K, rotations, *, per_family=40, clutter=0.0, noise_px=0.3, floor_px=0.0, families=(0, 1, 2), size=SIZE, skew_deg=0.0):
+def room(
+    rng,
+    K,
+    rotations,
+    *,
+    per_family=40,
+    clutter=0.0,
+    noise_px=0.3,
+    floor_px=0.0,
+    families=(0, 1, 2),
+    size=SIZE,
+    skew_deg=0.0,
+):
     """Segments of each image: ``noise_px`` is stated in their covariance, ``floor_px`` is not; ``clutter`` is the share of wrong ones."""
     parts = []
     for k, R in enumerate(rotations):
@@ -41,7 +57,14 @@ def room(rng, K, rotations, *, per_family=40, clutter=0.0, noise_px=0.3, floor_p
         moved = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.normal(size=(len(ends), 2)))
         moved += floor_px * rng.normal(size=moved.shape)
         parts.append(
-            LineSegments(ends + moved[..., None] * normal[:, None], covariance, np.tile([0.0, np.inf], (len(ends), 1)), np.zeros(len(ends), dtype=int), (f"{k}",), size)
+            LineSegments(
+                ends + moved[..., None] * normal[:, None],
+                covariance,
+                np.tile([0.0, np.inf], (len(ends), 1)),
+                np.zeros(len(ends), dtype=int),
+                (f"{k}",),
+                size,
+            )
         )
     return LineSegments.joined(parts)
 

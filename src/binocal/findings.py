@@ -148,11 +148,23 @@ _KINDS = (
         InconsistentViewsError,
     ),
     FindingKind(
+        "right-angles-unchecked", _R, "Nothing checks that two families are at right angles",
+        "lines run in two directions ({images}); were they at right angles, the focal length would be about {focal_px:.0f} px, but neither a "
+        "third direction nor a view turned by 10 degrees checks it; {remedy}.",
+        "add views that show a third direction or are turned, or state --right-angles if you know that they are", DegenerateGeometryError,
+    ),
+    FindingKind(
         "vanishing-points-far", _R, "The vanishing points are too far away to tell a camera",
         "the lines tell neither focal length nor principal point (standard deviations: focal length {focal_sigma_percent:.0f} %, cx "
         "{cx_sigma_px:.0f} px, cy {cy_sigma_px:.0f} px, where {assumed_sigma_px:.0f} px were assumed): they look nearly parallel in the "
         "image; {remedy}.",
         "turn the camera by 20 to 45 degrees against walls and floor", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lens-from-bent-lines", _W, "A lens was taken out by the bend of lines",
+        "lines bend as a lens would make them, by {corner_px:+.1f} ± {sigma_px:.1f} px at the image's corners: one coefficient of radial "
+        "distortion was taken out; {remedy}.",
+        "give the rig's file with --rig, whose lens is better known",
     ),
     FindingKind(
         "vanishing-points-far-focal-untold", _W, "The lines tell the principal point, not the focal length",

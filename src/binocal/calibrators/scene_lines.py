@@ -7,36 +7,30 @@ them are finite, and the principal point where three are. What the lines do not 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.calibrators.scene_solution import START_FLOOR_PX, SceneImage, SceneSolution, best_solution
 from binocal.evidence.line_segments import LineSegments
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry.vanishing import PencilForms
-from binocal.initialization.scene_families import (
-    SURE,
-    Family,
-    FrameAt,
-    best_frame,
-    distinct_lines,
-    find_families,
-    focal_steps,
-)
+from binocal.initialization.scene_families import distinct_lines, find_families
 from binocal.result import Covariance
 from binocal.shapes import Bool, Float
-from binocal.solvers.manhattan import ManhattanEstimate, ManhattanMinimum, ManhattanProblem, SharedPrior, solve_manhattan
-from binocal.solvers.manhattan_covariance import regions_of, shared_covariance
+from binocal.solvers.epipolar_covariance import regions_of
+from binocal.solvers.manhattan import SharedPrior
+from binocal.solvers.manhattan_covariance import shared_covariance
 
 NAMES = ("f", "cx", "cy")
 MIN_SEGMENTS = 20  # of an image
-START_FLOOR_PX = 1.0
-FLOORS_PX = np.r_[0.0, np.geomspace(0.02, 5.0, 40)]  # of ends beyond what their edges state: walls and lenses are not straight
-ROUNDS = 3  # of solving and finding that floor
-N_STARTS = 4
 CENTRE_SIGMA = 0.015  # of the image's diagonal; KITTI, EuRoC, Cityscapes, Middlebury lie within 0.8 to 1.2 %
-EXPECTED_FOCAL, EXPECTED_LOG_SIGMA = 1.6, 0.8  # in half diagonals: 64 degrees across the diagonal, within 31 to 109 at one sigma
+EXPECTED_FOCAL, EXPECTED_LOG_SIGMA = (
+    1.6,
+    0.8,
+)  # in half diagonals: 64 degrees across the diagonal, within 31 to 109 at one sigma
 RIGHT_ANGLE_SIGMA_DEG = 0.3  # of what is built
 TOLD_FOCAL_SHARE = 0.10  # standard deviations above these tell nothing
 TOLD_CENTRE_SHARE = 1 / 3  # of the assumed standard deviation
@@ -48,12 +42,14 @@ class SceneRequest:
     """What is known beside the segments.
 
     ``centre_px`` is where the principal point is expected (None: the image's middle), ``centre_sigma_px`` how surely.
-    ``right_angle_sigma_deg`` says by how much the scene's right angles may be off.
+    ``right_angle_sigma_deg`` says by how much the scene's right angles may be off. ``are_right_angles`` states that two families of
+    one image are at right angles where neither a third one nor another view checks it.
     """
 
     centre_px: tuple[float, float] | None = None
     centre_sigma_px: float | None = None
     right_angle_sigma_deg: float = RIGHT_ANGLE_SIGMA_DEG
+    are_right_angles: bool = False
     seed: int = 0
 
 
@@ -94,27 +90,6 @@ class SceneIntrinsics:
         return np.isfinite(self.values)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Image:
-    """An image's segments that are distinct, its families, and the evidence of the best one."""
-
-    name: str
-    index: int
-    forms: PencilForms
-    families: Sequence[Family]
-
-    @property
-    def single(self) -> float:
-        return max((family.log_odds for family in self.families), default=0.0)
-
-    def frame(self, focal_px: float, centre_px: Float[ndarray, "2"]) -> FrameAt | None:
-        """The best frame, if it explains surely more than one family does."""
-        if len(self.families) < 2:
-            return None
-        found = best_frame(self.families, self.forms, focal_px, centre_px)
-        return found if found is not None and found.log_odds > self.single + SURE else None
-
-
 def calibrate_from_segments(segments: LineSegments, request: SceneRequest | None = None) -> SceneIntrinsics:
     """Focal length and principal point by maximum likelihood from the segments of one camera's images.
 
@@ -125,32 +100,24 @@ def calibrate_from_segments(segments: LineSegments, request: SceneRequest | None
         DegenerateGeometryError, InconsistentViewsError: The lines tell neither focal length nor principal point; the text says why.
     """
     request = request or SceneRequest()
-    rng = np.random.default_rng(request.seed)
     prior = _prior(segments.size_wh, request)
-    images = _images_with_families(segments, rng)
+    images = _images_with_families(segments, np.random.default_rng(request.seed))
     pairs = [image for image in images if len(image.families) > 1]
-    half = 0.5 * float(np.hypot(*segments.size_wh))
-    steps = focal_steps([image.families for image in pairs], prior.centre_px, half)
-    frames = [[image.frame(f, prior.centre_px) for f in steps] for image in pairs]
-    best: tuple[float, ManhattanMinimum, ManhattanProblem, LineSegments, float, list[int]] | None = None
-    for k in _peaks(pairs, frames):
-        chosen = [i for i, own in enumerate(frames) if own[k] is not None]
-        solved = _solve(segments, [pairs[i] for i in chosen], [frames[i][k] for i in chosen], float(steps[k]), prior)
-        gained = solved[0] + sum(image.single for i, image in enumerate(pairs) if i not in chosen)
-        if best is None or gained > best[0]:
-            best = (gained, *solved[1:], [pairs[i].index for i in chosen])
-    if best is None or len(best[-1]) < AGREEING_SHARE * len(pairs):
-        agreeing = 0 if best is None else len(best[-1])
+    best = best_solution(segments, pairs, prior)
+    if best is None or len(best.images) < AGREEING_SHARE * len(pairs):
+        agreeing = 0 if best is None else len(best.images)
         raise refusal(finding("lines-not-at-right-angles", n_images=len(pairs), n_agreeing=agreeing))
-    _, minimum, problem, used, floor_px, chosen = best
+    if not (request.are_right_angles or best.is_checked):
+        names = ", ".join(image.name for image in best.images)
+        raise refusal(finding("right-angles-unchecked", images=names, focal_px=best.minimum.estimate.focal_px))
     covariance = shared_covariance(
-        problem,
-        minimum.estimate,
-        minimum.equations,
-        regions_of(used.middles_px, used.size_wh),
+        best.problem,
+        best.minimum.estimate,
+        best.minimum.equations,
+        regions_of(best.used.middles_px, best.used.size_wh),
         float(np.radians(request.right_angle_sigma_deg)),
     )
-    return _result(segments, chosen, minimum, covariance, prior, floor_px)
+    return _result(segments, best, covariance, prior)
 
 
 def _prior(size_wh: tuple[int, int], request: SceneRequest) -> SharedPrior:
@@ -160,7 +127,7 @@ def _prior(size_wh: tuple[int, int], request: SceneRequest) -> SharedPrior:
     return SharedPrior(0.5 * EXPECTED_FOCAL * diagonal, EXPECTED_LOG_SIGMA, np.array(centre, dtype=float), sigma)
 
 
-def _images_with_families(segments: LineSegments, rng: np.random.Generator) -> list[_Image]:
+def _images_with_families(segments: LineSegments, rng: np.random.Generator) -> list[SceneImage]:
     """Images with enough segments.
 
     Raises DegenerateGeometryError where none has two families.
@@ -174,80 +141,28 @@ def _images_with_families(segments: LineSegments, rng: np.random.Generator) -> l
         own = segments.select(segments.image == index)
         own = own.select(distinct_lines(own.ends_px))
         forms = PencilForms.of(own.ends_px, own.covariance_px2, START_FLOOR_PX)
-        images.append(_Image(segments.names[index], int(index), forms, find_families(forms, rng)))
+        images.append(SceneImage(segments.names[index], int(index), forms, find_families(forms, rng)))
     most = max(len(image.families) for image in images)
     if most == 0:
         raise refusal(finding("lines-without-families", n_segments=int(counts.max()), n_images=len(counts)))
     if most == 1:
         fullest = max(images, key=lambda image: image.single)
         own = fullest.families[0]
-        raise refusal(finding("lines-in-one-family", image=fullest.name, n_segments=own.n_segments, n_images=len(images)))
+        raise refusal(
+            finding("lines-in-one-family", image=fullest.name, n_segments=own.n_segments, n_images=len(images))
+        )
     return images
 
 
-def _peaks(images: Sequence[_Image], frames: Sequence[Sequence[FrameAt | None]]) -> list[int]:
-    """Focal lengths at which the images' frames explain most, by themselves best among their neighbours."""
-    odds = np.array(
-        [[image.single if f is None else f.log_odds for f in own] for image, own in zip(images, frames, strict=True)]
-    )
-    has_any = np.array([[f is not None for f in own] for own in frames]).any(axis=0)
-    total = np.where(has_any, odds.sum(axis=0), -np.inf)
-    chosen: list[int] = []
-    for k in np.argsort(-total):
-        if len(chosen) == N_STARTS or not np.isfinite(total[k]):
-            break
-        if all(abs(int(k) - other) > 3 for other in chosen):
-            chosen.append(int(k))
-    return chosen
-
-
-def _solve(
-    segments: LineSegments, images: Sequence[_Image], frames: Sequence[FrameAt], focal_px: float, prior: SharedPrior
-) -> tuple[float, ManhattanMinimum, ManhattanProblem, LineSegments, float]:
-    """Log odds explained, the minimum and its problem, the segments that it is of, and the floor of their ends."""
-    place = np.full(len(segments.names), -1)
-    place[[image.index for image in images]] = np.arange(len(images))
-    used = segments.select(place[segments.image] >= 0)
-    image = place[used.image]
-    estimate = ManhattanEstimate(focal_px, prior.centre_px, np.stack([frame.R_camera_scene for frame in frames]))
-    floor_px = START_FLOOR_PX
-    for round_ in range(ROUNDS):
-        forms = PencilForms.of(used.ends_px, used.covariance_px2, floor_px)
-        problem = ManhattanProblem(forms, image, len(images), prior)
-        minimum = solve_manhattan(problem, estimate) if round_ == 0 else solve_manhattan(problem, estimate, ())
-        estimate = minimum.estimate
-        if round_ < ROUNDS - 1:
-            floor_px = _likeliest_floor(used, problem, estimate)
-    odds = 0.0
-    for k, own in enumerate(images):
-        points = estimate.points[k]
-        odds += float(own.forms.evidence((own.forms.distances(points) ** 2).min(axis=0), 3).sum())
-    return odds, minimum, problem, used, floor_px
-
-
-def _likeliest_floor(used: LineSegments, problem: ManhattanProblem, estimate: ManhattanEstimate) -> float:
-    """What ends are off by beyond their edges' covariance, by maximum likelihood with segments of no family among them."""
-    odds = []
-    for floor in FLOORS_PX:
-        forms = PencilForms.of(used.ends_px, used.covariance_px2, float(floor))
-        (r2,) = replace(problem, forms=forms).residual_lengths2(estimate)
-        odds.append(float(forms.evidence(r2, 3).sum()))
-    return float(FLOORS_PX[int(np.argmax(odds))])
-
-
 def _result(
-    segments: LineSegments,
-    chosen: Sequence[int],
-    minimum: ManhattanMinimum,
-    covariance: Float[ndarray, "3 3"],
-    prior: SharedPrior,
-    floor_px: float,
+    segments: LineSegments, solution: SceneSolution, covariance: Float[ndarray, "3 3"], prior: SharedPrior
 ) -> SceneIntrinsics:
     """Raises DegenerateGeometryError: nothing is told."""
-    estimate, equations = minimum.estimate, minimum.equations
+    estimate, equations = solution.minimum.estimate, solution.minimum.equations
+    chosen = [image.index for image in solution.images]
     sigma = np.sqrt(np.diagonal(covariance))
     is_told = sigma < np.array([TOLD_FOCAL_SHARE, *(2 * (TOLD_CENTRE_SHARE * prior.centre_sigma_px,))])
-    figures = {
+    figures: dict[str, Any] = {
         "focal_sigma_percent": 100 * float(sigma[0]),
         "cx_sigma_px": float(sigma[1]),
         "cy_sigma_px": float(sigma[2]),
@@ -268,7 +183,7 @@ def _result(
         Covariance(names, full[np.ix_(is_told, is_told)]),
         (float(prior.centre_px[0]), float(prior.centre_px[1])),
         prior.centre_sigma_px,
-        floor_px,
+        solution.floor_px,
         _image_families(segments, chosen, equations.family, equations.weights),
         tuple(findings),
     )

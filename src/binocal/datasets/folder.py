@@ -76,7 +76,9 @@ def list_pairs(
     return Pairing(tuple(pairs), tuple((path, ignored[path]) for path in order))
 
 
-def list_images(source: str | PathLike[str] | Sequence[str | PathLike[str]]) -> tuple[list[Path], Sequence[tuple[Path, str]]]:
+def list_images(
+    source: str | PathLike[str] | Sequence[str | PathLike[str]],
+) -> tuple[list[Path], Sequence[tuple[Path, str]]]:
     """One camera's images in natural order, given as in :func:`list_pairs`; and other files with the reason why they are left out.
 
     Raises:

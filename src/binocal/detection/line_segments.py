@@ -49,9 +49,10 @@ def find_line_segments(image: GreyImage, name: str, camera: Camera | None = None
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
     fits = [_fitted(_edge_points(smooth, *pair), camera) for pair in ends]
     kept = [fit for fit in fits if fit is not None and np.linalg.norm(fit[0][1] - fit[0][0]) >= MIN_LENGTH_PX]
-    shapes = (2, 2), (2, 2), (2,)
-    arrays = (np.array([fit[k] for fit in kept]).reshape(-1, *shape) for k, shape in enumerate(shapes))
-    return LineSegments(*arrays, np.zeros(len(kept), dtype=int), (name,), size)
+    ends_px, covariance_px2, bend_per_px = (
+        np.array([fit[k] for fit in kept]).reshape(-1, *shape) for k, shape in enumerate(((2, 2), (2, 2), (2,)))
+    )
+    return LineSegments(ends_px, covariance_px2, bend_per_px, np.zeros(len(kept), dtype=int), (name,), size)
 
 
 def joined_pieces(ends_px: Float[ndarray, "n 2 2"]) -> Float[ndarray, "m 2 2"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
@@ -66,7 +66,7 @@ class LineSegments(ArrayValue):
 
     def select(self, index: Int[ndarray, "k"] | Bool[ndarray, "n"]) -> LineSegments:
         """Some of the segments; the images stay as they are numbered."""
-        arrays = (getattr(self, field.name)[index] for field in fields(self)[:4])
+        arrays = self.ends_px[index], self.covariance_px2[index], self.bend_per_px[index], self.image[index]
         return LineSegments(*arrays, self.names, self.size_wh)
 
     @staticmethod

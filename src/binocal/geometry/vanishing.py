@@ -59,7 +59,7 @@ class PencilForms:
         r = np.sum(points * self.value, axis=1) / size
         return r, (self.value - (r / size)[:, None] * turned) / size[:, None]
 
-    def evidence(self, r2: Float[ndarray, "*k n"], n_families: int) -> Float[ndarray, "*k n"]:
+    def evidence(self, r2: Float[ndarray, "*k n"], n_families: int | Int[ndarray, "n"]) -> Float[ndarray, "*k n"]:
         """Log of how much more likely each segment is where it may be of a family than where segments turn at random.
 
         ``r2`` is the squared distance to the nearest of ``n_families`` vanishing points. A segment of a family turns by its own

@@ -40,9 +40,14 @@ class Family:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameAt:
-    """The best orthogonal frame of an image at a focal length, and the log odds that it explains."""
+    """The best orthogonal frame of an image at a focal length, and the log odds that it explains.
+
+    ``counts`` says which of its three directions are those of families that were found by themselves. The third one is free to turn
+    to wherever lines happen to meet as the focal length changes, and would then tell a wrong one.
+    """
 
     R_camera_scene: Float[ndarray, "3 3"]
+    counts: Bool[ndarray, "3"]
     log_odds: float
 
 
@@ -129,20 +134,21 @@ def focal_steps(
 def best_frame(
     families: Sequence[Family], forms: PencilForms, focal_px: float, centre_px: Float[ndarray, "2"]
 ) -> FrameAt | None:
-    """The orthogonal frame through two of the families that most segments belong to; None where no two are orthogonal."""
+    """The orthogonal frame through two of the families that explains most; None where no two are orthogonal."""
     K = np.array([[focal_px, 0, centre_px[0]], [0, focal_px, centre_px[1]], [0, 0, 1]])
     directions = np.array([np.linalg.solve(K, family.point) for family in families]).reshape(-1, 3)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    frames = []
-    for i, j in combinations(range(len(directions)), 2):
-        if abs(float(directions[i] @ directions[j])) < MAX_SKEW:
-            frames.append(_frame(directions[i], directions[j]))
     best: FrameAt | None = None
-    for R in frames:
-        r2 = (forms.distances((K @ R).T) ** 2).min(axis=0)
-        log_odds = float(forms.evidence(r2, 3).sum())
+    for i, j in combinations(range(len(directions)), 2):
+        if abs(float(directions[i] @ directions[j])) > MAX_SKEW:
+            continue
+        R = _frame(directions[i], directions[j])
+        is_third_found = bool((np.abs(directions @ R[:, 2]) > np.sqrt(1 - MAX_SKEW**2)).any())
+        counts = np.array([True, True, is_third_found])
+        r2 = (forms.distances((K @ R).T[counts]) ** 2).min(axis=0)
+        log_odds = float(forms.evidence(r2, int(counts.sum())).sum())
         if best is None or log_odds > best.log_odds:
-            best = FrameAt(R, log_odds)
+            best = FrameAt(R, counts, log_odds)
     return best
 
 

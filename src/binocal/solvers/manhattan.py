@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from binocal.geometry import so3
 from binocal.geometry.vanishing import PencilForms
-from binocal.shapes import Float, Int
+from binocal.shapes import Bool, Float, Int
 from binocal.solvers import robust
 from binocal.solvers.minimization import LoopOptions, Minimum, minimize
 
@@ -55,9 +55,7 @@ class ManhattanEstimate:
         """Moved by steps of log f, cx, cy, and a turn from the left for each image."""
         turns = so3.exp(xi[N_SHARED:].reshape(-1, 3))
         step = float(np.clip(xi[0], -0.5, 0.5))
-        return ManhattanEstimate(
-            self.focal_px * float(np.exp(step)), self.centre_px + xi[1:3], turns @ self.rotations
-        )
+        return ManhattanEstimate(self.focal_px * float(np.exp(step)), self.centre_px + xi[1:3], turns @ self.rotations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,18 +113,33 @@ class ManhattanStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ManhattanProblem:
-    """Segments of one camera (:class:`binocal.solvers.problem.Problem`); residuals are in standard deviations, their scale is 1."""
+    """Segments of one camera (:class:`binocal.solvers.problem.Problem`); residuals are in standard deviations, their scale is 1.
+
+    ``counts`` says which of the three families of each image its segments may belong to.
+    """
 
     forms: PencilForms
     image: Int[ndarray, "n"]
-    n_images: int
+    counts: Bool[ndarray, "images 3"]
     prior: SharedPrior
 
+    @property
+    def n_images(self) -> int:
+        """How many images."""
+        return len(self.counts)
+
     def distances(self, estimate: ManhattanEstimate) -> Float[ndarray, "n 3"]:
-        """Of each segment to its image's three points."""
+        """Of each segment to its image's three points; infinite to those that do not count."""
         points = estimate.points[self.image]
         variance = np.einsum("nki,nij,nkj->nk", points, self.forms.variance, points, optimize=True)
-        return np.einsum("nki,ni->nk", points, self.forms.value) / np.sqrt(np.maximum(variance, 1e-300))
+        distances = np.einsum("nki,ni->nk", points, self.forms.value) / np.sqrt(np.maximum(variance, 1e-300))
+        return np.where(self.counts[self.image], distances, np.inf)
+
+    def log_odds(self, estimate: ManhattanEstimate) -> Float[ndarray, "n"]:
+        """Evidence of each segment for the families of its image."""
+        (r2,) = self.residual_lengths2(estimate)
+        n_families = self.counts.sum(axis=1)[self.image]
+        return self.forms.evidence(r2, n_families)
 
     def residual_lengths2(self, estimate: ManhattanEstimate) -> tuple[Float[ndarray, "n"], ...]:
         """Squared distance to the nearest point."""
@@ -144,7 +157,9 @@ class ManhattanProblem:
         d = estimate.rotations[self.image, :, family]
         r, by_point = self.forms.distances_of_own(d @ estimate.K.T)
         f, depth = estimate.focal_px, d[:, 2:]
-        by_shared = np.concatenate([f * np.sum(by_point[:, :2] * d[:, :2], axis=1, keepdims=True), by_point[:, :2] * depth], axis=1)
+        by_shared = np.concatenate(
+            [f * np.sum(by_point[:, :2] * d[:, :2], axis=1, keepdims=True), by_point[:, :2] * depth], axis=1
+        )
         by_turn = np.cross(d, by_point @ estimate.K)
         weights = robust.weights(r**2, scale_px, kernel)
         energy = self.prior.energy(estimate)

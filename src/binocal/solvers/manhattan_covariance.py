@@ -15,14 +15,6 @@ from binocal.shapes import Float, Int
 from binocal.solvers import robust
 from binocal.solvers.manhattan import N_SHARED, ManhattanEquations, ManhattanEstimate, ManhattanProblem
 
-REGIONS = (4, 3)  # columns and rows of the image
-
-
-def regions_of(middles_px: Float[ndarray, "n 2"], size_wh: tuple[int, int]) -> Int[ndarray, "n"]:
-    """Which region of the image each segment's middle lies in."""
-    place = np.clip(np.floor(middles_px / np.array(size_wh) * REGIONS).astype(int), 0, np.array(REGIONS) - 1)
-    return place[:, 1] * REGIONS[0] + place[:, 0]
-
 
 def shared_covariance(
     problem: ManhattanProblem,
@@ -60,7 +52,9 @@ def bound(problem: ManhattanProblem, equations: ManhattanEquations) -> Float[nda
     """Cramér-Rao bound of log f, cx, cy where every segment that carries weight is of its family, priors counted."""
     H = problem.information(equations, (equations.weights > 0).astype(float))
     size = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-    return (np.linalg.inv(H / np.outer(size, size) + 1e-12 * np.eye(len(H))) / np.outer(size, size))[:N_SHARED, :N_SHARED]
+    return (np.linalg.inv(H / np.outer(size, size) + 1e-12 * np.eye(len(H))) / np.outer(size, size))[
+        :N_SHARED, :N_SHARED
+    ]
 
 
 def _inverse(
