@@ -224,14 +224,14 @@ EXPLANATIONS = {
         Any two vanishing points on different sides of the principal point are at right angles for some focal length. That they
         really are is checked by a third family found by itself, or by views turned by ten degrees and more, for which a wrong
         angle would give other focal lengths. Of the real images tried, half of the unchecked pairs were not at right angles and
-        gave focal lengths up to a third off. If you know that the two are (a facade, a table), say `--right-angles`.""",
+        gave focal lengths 25 to 50 % off. If you know that the two are (a facade, a table), say `--right-angles`.""",
     "vanishing-points-far": """
         Lines that are nearly parallel in the image as well, a wall seen face on or a street seen along, leave the focal length
-        open: their vanishing points are at infinity whatever it is. A focal length counts as told below a standard deviation of
+        open: their vanishing points are at infinity whatever it is. A focal length counts as measured below a standard deviation of
         10 %, a coordinate of the principal point below a third of what is assumed of it.""",
     "vanishing-points-far-focal-untold": """
         The one vanishing point that is near, of a street seen along, lies at the principal point within the camera's turn against
-        the others, which are at infinity. So the principal point is told where the focal length is not.""",
+        the others, which are at infinity. So the lines tell the principal point where they leave the focal length open.""",
     "lens-from-bent-lines": """
         Without a rig nothing is known of the lens. Where lines bend as a lens bends them, all over the image and by at least
         seven standard deviations, one radial coefficient is taken from the bend. It leaves what higher coefficients do, which is

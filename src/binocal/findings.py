@@ -149,8 +149,8 @@ _KINDS = (
     ),
     FindingKind(
         "right-angles-unchecked", _R, "Nothing checks that two families are at right angles",
-        "lines run in two directions ({images}); were they at right angles, the focal length would be about {focal_px:.0f} px, but neither a "
-        "third direction nor a view turned by 10 degrees checks it; {remedy}.",
+        "lines run in two directions ({images}); a focal length follows if they are at right angles, but neither a third direction nor a "
+        "view turned by 10 degrees checks that; {remedy}.",
         "add views that show a third direction or are turned, or state --right-angles if you know that they are", DegenerateGeometryError,
     ),
     FindingKind(
@@ -168,7 +168,7 @@ _KINDS = (
     ),
     FindingKind(
         "vanishing-points-far-focal-untold", _W, "The lines tell the principal point, not the focal length",
-        "the lines tell {told}, but not the focal length (standard deviation {focal_sigma_percent:.0f} %): only one vanishing point is "
+        "the lines tell {what}, but not the focal length (standard deviation {focal_sigma_percent:.0f} %): only one vanishing point is "
         "near; {remedy}.",
         "turn the camera by 20 to 45 degrees against walls and floor",
     ),

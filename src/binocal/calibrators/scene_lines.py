@@ -26,6 +26,7 @@ from binocal.solvers.manhattan_covariance import shared_covariance
 
 NAMES = ("f", "cx", "cy")
 MIN_SEGMENTS = 20  # of an image
+FAMILY_FLOORS_PX = (0.25, START_FLOOR_PX)  # few but straight edges, and many crooked ones
 CENTRE_SIGMA = 0.015  # of the image's diagonal; KITTI, EuRoC, Cityscapes, Middlebury lie within 0.8 to 1.2 %
 EXPECTED_FOCAL, EXPECTED_LOG_SIGMA = (
     1.6,
@@ -107,9 +108,6 @@ def calibrate_from_segments(segments: LineSegments, request: SceneRequest | None
     if best is None or len(best.images) < AGREEING_SHARE * len(pairs):
         agreeing = 0 if best is None else len(best.images)
         raise refusal(finding("lines-not-at-right-angles", n_images=len(pairs), n_agreeing=agreeing))
-    if not (request.are_right_angles or best.is_checked):
-        names = ", ".join(image.name for image in best.images)
-        raise refusal(finding("right-angles-unchecked", images=names, focal_px=best.minimum.estimate.focal_px))
     covariance = shared_covariance(
         best.problem,
         best.minimum.estimate,
@@ -117,7 +115,10 @@ def calibrate_from_segments(segments: LineSegments, request: SceneRequest | None
         regions_of(best.used.middles_px, best.used.size_wh),
         float(np.radians(request.right_angle_sigma_deg)),
     )
-    return _result(segments, best, covariance, prior)
+    found = _result(segments, best, covariance, prior)
+    if not (request.are_right_angles or best.is_checked):
+        raise refusal(finding("right-angles-unchecked", images=", ".join(image.name for image in best.images)))
+    return found
 
 
 def _prior(size_wh: tuple[int, int], request: SceneRequest) -> SharedPrior:
@@ -140,8 +141,12 @@ def _images_with_families(segments: LineSegments, rng: np.random.Generator) -> l
     for index in np.flatnonzero(counts >= MIN_SEGMENTS):
         own = segments.select(segments.image == index)
         own = own.select(distinct_lines(own.ends_px))
+        tried = [
+            find_families(PencilForms.of(own.ends_px, own.covariance_px2, floor), rng) for floor in FAMILY_FLOORS_PX
+        ]
+        families = max(tried, key=lambda found: sum(family.log_odds for family in found))
         forms = PencilForms.of(own.ends_px, own.covariance_px2, START_FLOOR_PX)
-        images.append(SceneImage(segments.names[index], int(index), forms, find_families(forms, rng)))
+        images.append(SceneImage(segments.names[index], int(index), forms, families))
     most = max(len(image.families) for image in images)
     if most == 0:
         raise refusal(finding("lines-without-families", n_segments=int(counts.max()), n_images=len(counts)))
@@ -172,8 +177,8 @@ def _result(
         raise refusal(finding("vanishing-points-far", **figures))
     findings = []
     if not is_told[0]:
-        told = " and ".join(name for name, told in zip(NAMES, is_told, strict=True) if told)
-        findings.append(finding("vanishing-points-far-focal-untold", told=told, **figures))
+        what = " and ".join(name for name, told in zip(NAMES, is_told, strict=True) if told)
+        findings.append(finding("vanishing-points-far-focal-untold", what=what, **figures))
     scale = np.array([estimate.focal_px, 1.0, 1.0])
     full = covariance * np.outer(scale, scale)
     values = np.where(is_told, np.r_[estimate.focal_px, estimate.centre_px], np.nan)

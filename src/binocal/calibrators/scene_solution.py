@@ -41,14 +41,17 @@ class SceneImage:
     @property
     def single(self) -> float:
         """Log odds of the surest family alone."""
-        return max((family.log_odds for family in self.families), default=0.0)
+        if not self.families:
+            return 0.0
+        points = np.stack([family.point for family in self.families])
+        return float(self.forms.evidence(self.forms.distances(points) ** 2, 1).sum(axis=1).max())
 
     def frame(self, focal_px: float, centre_px: Float[ndarray, "2"]) -> FrameAt | None:
-        """The best frame, if it explains surely more than one family does."""
+        """The best frame, if it explains more than one family does."""
         if len(self.families) < 2:
             return None
         found = best_frame(self.families, self.forms, focal_px, centre_px)
-        return found if found is not None and found.log_odds > self.single + SURE else None
+        return found if found is not None and found.log_odds > self.single else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +147,8 @@ def _without_contradicting(
 ) -> SceneSolution:
     """Solved again without images whose lines surely ask for another focal length, as long as two agree."""
     for _ in range(ROUNDS):
+        if len(solution.images) < 3:
+            break  # of two nobody says which is right
         estimate, problem = solution.minimum.estimate, solution.problem
         odds = problem.log_odds(estimate)
         lost = np.zeros(len(solution.images))

@@ -14,7 +14,7 @@ from binocal.cli.tables import format_table
 from binocal.findings import finding_document
 from binocal.values import with_sigma
 
-UNTOLD = "not told by the lines"
+UNTOLD = "not measured by the lines"
 
 
 def _number(value: float) -> float | None:
