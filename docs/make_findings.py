@@ -223,7 +223,7 @@ EXPLANATIONS = {
     "right-angles-unchecked": """
         Any two vanishing points on different sides of the principal point are at right angles for some focal length. That they
         really are is checked by a third family found by itself, or by views turned by ten degrees and more, for which a wrong
-        angle would give other focal lengths. Of the real images tried, half of the unchecked pairs were not at right angles and
+        angle would give other focal lengths. Of ten unchecked pairs in real images four were not at right angles and
         gave focal lengths 25 to 50 % off. If you know that the two are (a facade, a table), say `--right-angles`.""",
     "vanishing-points-far": """
         Lines that are nearly parallel in the image as well, a wall seen face on or a street seen along, leave the focal length
