@@ -240,6 +240,36 @@ EXPLANATIONS = {
         third and four standard deviations are a sign that the calibration of that camera is not right any more. The value that
         the matches ask for is a diagnosis, no result: freed parameters go wrong by more than they were uncertain, while the
         residuals fall.""",
+    "lines-too-few": """
+        Vanishing points come from straight edges of some length, a fiftieth of the image's diagonal and more. Twenty in one image
+        are needed to look for directions that they have in common.""",
+    "lines-without-families": """
+        Lines that are parallel in the scene meet in one point of the image. Segments that lie anywhere also meet here and there;
+        a family is taken only where chance would give its evidence less often than exp(-10) over all crossings of two segments.
+        Plants, stones and texture have no families.""",
+    "lines-in-one-family": """
+        One vanishing point is one direction, which every camera can see. Two directions at right angles are needed for a focal
+        length.""",
+    "lines-not-at-right-angles": """
+        Two or more families of parallel lines were found, but there is no focal length at which two of them stand at right angles
+        while the principal point is near the image's middle, or only one for less than half of the images. Furniture, roofs and
+        streets that meet at other angles do that, and so do cropped images and strong lenses that were not taken out.""",
+    "right-angles-unchecked": """
+        Any two vanishing points on different sides of the principal point are at right angles for some focal length. That they
+        really are is checked by a third family found by itself, or by views turned by ten degrees and more, for which a wrong
+        angle would give other focal lengths. Of ten unchecked pairs in real images four were not at right angles and
+        gave focal lengths 25 to 50 % off. If you know that the two are (a facade, a table), say `--right-angles`.""",
+    "vanishing-points-far": """
+        Lines that are nearly parallel in the image as well, a wall seen face on or a street seen along, leave the focal length
+        open: their vanishing points are at infinity whatever it is. A focal length counts as measured below a standard deviation of
+        10 %, a coordinate of the principal point below a third of what is assumed of it.""",
+    "vanishing-points-far-focal-untold": """
+        The one vanishing point that is near, of a street seen along, lies at the principal point within the camera's turn against
+        the others, which are at infinity. So the lines tell the principal point where they leave the focal length open.""",
+    "lens-from-bent-lines": """
+        Without a rig nothing is known of the lens. Where lines bend as a lens bends them, all over the image and by at least
+        seven standard deviations, one radial coefficient is taken from the bend. It leaves what higher coefficients do, which is
+        some tenths of a pixel to some pixels in the corners; a calibrated lens leaves less.""",
     "principal-points-near-middle": """
         Through a telephoto lens a shift of the principal point moves the image almost as a turn of the camera does, with a
         little of the distortion in between. The views then leave the principal points open by a tenth of the image and more,

@@ -156,6 +156,56 @@ _KINDS = (
         "those of these images, and the pose bears their error; {remedy}.",
         "calibrate the cameras anew with a board, and check that the images are as these cameras take them",
     ),
+    # --- lines of natural images
+    FindingKind(
+        "lines-too-few", _R, "Too few straight lines are seen",
+        "the image with most straight edges shows {n_segments} of them ({n_images} images), {n_needed} are needed: the images are black, "
+        "blurred, or do not show what people build; {remedy}.",
+        "give sharp images of a street or a room", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lines-without-families", _R, "The straight lines run in no common directions",
+        "no image shows lines that are parallel in the scene (up to {n_segments} segments in {n_images} images, which meet as chance has "
+        "it): texture and plants tell nothing of a camera; {remedy}.",
+        "give images of a street or a room", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lines-in-one-family", _R, "All parallel lines run in one direction",
+        "the images show one family of parallel lines ({n_segments} segments in {image}), and two at right angles are needed; {remedy}.",
+        "turn the camera so that it sees a second wall, or the floor with a wall", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lines-not-at-right-angles", _R, "No camera makes the families of lines orthogonal",
+        "in {n_images} images lines run in two or more directions, but one camera sees them at right angles in {n_agreeing} only; "
+        "{remedy}.",
+        "give uncropped images of one camera, of things built at right angles, or the rig's file so that the lens can be taken out",
+        InconsistentViewsError,
+    ),
+    FindingKind(
+        "right-angles-unchecked", _R, "Nothing checks that two families are at right angles",
+        "lines run in two directions ({images}); a focal length follows if they are at right angles, but neither a third direction nor a "
+        "view turned by 10 degrees checks that; {remedy}.",
+        "add views that show a third direction or are turned, or state --right-angles if you know that they are", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "vanishing-points-far", _R, "The vanishing points are too far away to tell a camera",
+        "the lines tell neither focal length nor principal point (standard deviations: focal length {focal_sigma_percent:.0f} %, cx "
+        "{cx_sigma_px:.0f} px, cy {cy_sigma_px:.0f} px, where {assumed_sigma_px:.0f} px were assumed): they look nearly parallel in the "
+        "image; {remedy}.",
+        "turn the camera by 20 to 45 degrees against walls and floor", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "lens-from-bent-lines", _W, "A lens was taken out by the bend of lines",
+        "lines bend as a lens would make them, by {corner_px:+.1f} ± {sigma_px:.1f} px at the image's corners: one coefficient of radial "
+        "distortion was taken out; {remedy}.",
+        "give the rig's file with --rig, whose lens is better known",
+    ),
+    FindingKind(
+        "vanishing-points-far-focal-untold", _W, "The lines tell the principal point, not the focal length",
+        "the lines tell {what}, but not the focal length (standard deviation {focal_sigma_percent:.0f} %): only one vanishing point is "
+        "near; {remedy}.",
+        "turn the camera by 20 to 45 degrees against walls and floor",
+    ),
     # --- a solved rig that is no result
     FindingKind(
         "corners-do-not-fit", _R, "Residuals are large against the spacing of the corners",

@@ -484,6 +484,59 @@ def check(
     return BELOW_QUALITY if run.drift.is_sure else FINE
 
 
+class Sides(enum.StrEnum):
+    """Which camera of a rig."""
+
+    left = "left"
+    right = "right"
+
+
+@app.command("vanishing-points")
+def vanishing_points(
+    images: Annotated[
+        str, typer.Option("--images", help="Images of one camera: a glob in quotes, a folder, a file.", metavar="GLOB")
+    ],
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig",
+            help="A rig whose camera took them: its lens is taken out, its values are checked.",
+            metavar="RIG.JSON",
+        ),
+    ] = None,
+    side: Annotated[
+        Sides, typer.Option("--side", help="Which camera of the rig took the images.", metavar="left|right")
+    ] = Sides.left,
+    right_angles: Annotated[
+        bool,
+        typer.Option(
+            "--right-angles",
+            help="Two families of one image are known to be at right angles: a third or a turned view need not check it.",
+        ),
+    ] = False,
+    max_images: Annotated[
+        int, typer.Option("--max-images", help="Use at most N images, evenly chosen.", metavar="N", min=1)
+    ] = 20,
+    seed: Seed = 0,
+    threads: Threads = None,
+    json: Json = False,
+) -> int:
+    """Find focal length and principal point from straight lines of streets and rooms, or check a rig's; exit code 4 if they contradict it."""
+    from binocal.app import scene_lines
+    from binocal.app.natural import load_given_rig
+    from binocal.cli import scene_lines as texts
+    from binocal.cli.progress import progress_on_terminal
+    from binocal.cli.tables import list_left_out
+
+    given = None if rig is None else load_given_rig(rig)
+    with progress_on_terminal() as progress:
+        options = scene_lines.SceneOptions(right_angles, max_images, seed, progress)
+        run = scene_lines.calibrate_scene(images, options, rig=given, side=side.value)
+    list_left_out([(str(path), reason) for path, reason in run.ignored], (), ())
+    _present(texts.scene_document(run), texts.scene_text(run), json)
+    return FINE if run.check is None or run.check.agrees else BELOW_QUALITY
+
+
 @app.command()
 def train(
     output: Annotated[

@@ -76,6 +76,18 @@ def list_pairs(
     return Pairing(tuple(pairs), tuple((path, ignored[path]) for path in order))
 
 
+def list_images(
+    source: str | PathLike[str] | Sequence[str | PathLike[str]],
+) -> tuple[list[Path], Sequence[tuple[Path, str]]]:
+    """One camera's images in natural order, given as in :func:`list_pairs`; and other files with the reason why they are left out.
+
+    Raises:
+        DataError: There is no image.
+    """
+    ignored: dict[Path, str] = {}
+    return _list_images("images", source, ignored), tuple(ignored.items())
+
+
 def _list_images(
     side: str, source: str | PathLike[str] | Sequence[str | PathLike[str]], ignored: dict[Path, str]
 ) -> list[Path]:
