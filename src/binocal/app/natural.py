@@ -109,11 +109,15 @@ class NaturalRun:
     @property
     def depth_error_percent(self) -> dict[str, float]:
         """What the drift in yaw does to depth, percent, by distance in metres; empty without a length."""
-        rig = self.calibration.rig
-        if not rig.is_metric:
-            return {}
-        yaw = np.radians(abs(float(self.drift.turn_deg[1])))
-        return {f"{z:g}": float(100 * z * yaw / rig.baseline_m) for z in DEPTHS_M}
+        return depth_error_percent(self.calibration.rig, self.drift)
+
+
+def depth_error_percent(rig: StereoRig, drift: Drift) -> dict[str, float]:
+    """What a drift in yaw does to depth, percent, by distance in metres; empty without a length."""
+    if not rig.is_metric:
+        return {}
+    yaw = np.radians(abs(float(drift.turn_deg[1])))
+    return {f"{z:g}": float(100 * z * yaw / rig.baseline_m) for z in DEPTHS_M}
 
 
 def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) -> NaturalRun:
@@ -175,18 +179,7 @@ def _matches(source: NaturalSource, options: NaturalOptions) -> PointMatches:
             from binocal.errors import CancelledError
 
             raise CancelledError("cancelled while matching.")
-        pair = source.pairs[int(index)]
-        images = read_grey_image(pair.left_path), read_grey_image(pair.right_path)
-        for side, image, camera, path in zip(
-            ("left", "right"), images, cameras, (pair.left_path, pair.right_path), strict=True
-        ):
-            size = image.shape[1], image.shape[0]
-            if size != camera.size_wh:
-                raise DataError(
-                    f"{path}: {size[0]}x{size[1]} pixels, the rig's {side} camera has {camera.size_wh[0]}x{camera.size_wh[1]}; "
-                    "give images as this rig's cameras take them."
-                )
-        parts.append(match_pair(images[0], images[1], pair.name))
+        parts.append(match_images(cameras, source.pairs[int(index)]))
         if options.progress is not None:
             options.progress("pairs", count + 1, len(place))
     parts = [part for part in parts if len(part)]
@@ -198,6 +191,24 @@ def _matches(source: NaturalSource, options: NaturalOptions) -> PointMatches:
     if len(parts) > options.max_pairs:
         parts = [parts[i] for i in most_telling(source.rig, parts, options.max_pairs)]
     return PointMatches.joined(parts)
+
+
+def match_images(cameras: tuple[Camera, Camera], pair: StereoPair) -> PointMatches:
+    """The matches of one pair of images.
+
+    Raises:
+        DataError: An image cannot be read or is not of these cameras.
+    """
+    paths = pair.left_path, pair.right_path
+    images = read_grey_image(paths[0]), read_grey_image(paths[1])
+    for side, image, camera, path in zip(("left", "right"), images, cameras, paths, strict=True):
+        size = image.shape[1], image.shape[0]
+        if size != camera.size_wh:
+            raise DataError(
+                f"{path}: {size[0]}x{size[1]} pixels, the rig's {side} camera has {camera.size_wh[0]}x{camera.size_wh[1]}; "
+                "give images as this rig's cameras take them."
+            )
+    return match_pair(images[0], images[1], pair.name)
 
 
 def most_telling(rig: StereoRig, parts: Sequence[PointMatches], n_wanted: int) -> list[int]:

@@ -467,6 +467,25 @@ def check(
     right: SomeRight = None,
     dataset: Dataset = None,
     rig: OldRig = None,
+    stream: Annotated[
+        bool,
+        typer.Option(
+            "--stream", help="Watch the rig over all pairs, in their order: drift per hour, and jumps by pair."
+        ),
+    ] = False,
+    every: Annotated[
+        int | None,
+        typer.Option("--every", help="With --stream: N pairs in a row are one measurement.", metavar="N", min=1),
+    ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            "--fps",
+            help="With --stream: pairs per second, in place of the times that the images have.",
+            metavar="F",
+            callback=_finite,
+        ),
+    ] = None,
     max_pairs: MaxPairs = 20,
     seed: Seed = 0,
     threads: Threads = None,
@@ -477,11 +496,28 @@ def check(
     from binocal.cli import natural as texts
     from binocal.cli.progress import progress_on_terminal
 
+    if not stream and (every is not None or fps is not None):
+        raise typer.BadParameter("--every and --fps belong to --stream.")
+    if fps is not None and fps <= 0:
+        raise typer.BadParameter(f"--fps is {fps:g}; give pairs per second, such as 10.")
     _, source = _natural_source(left, right, dataset, rig)
+    if stream:
+        return _check_stream(source, every or 1, fps, seed, json)
     with progress_on_terminal() as progress:
         run = natural.recalibrate(source, natural.NaturalOptions(max_pairs=max_pairs, seed=seed, progress=progress))
     _present(texts.check_document(run), texts.check_text(run), json)
     return BELOW_QUALITY if run.drift.is_sure else FINE
+
+
+def _check_stream(source: Any, every: int, fps: float | None, seed: int, json: bool) -> int:
+    from binocal.app.stream import StreamOptions, check_stream
+    from binocal.cli import stream as texts
+    from binocal.cli.progress import progress_on_terminal
+
+    with progress_on_terminal() as progress:
+        run = check_stream(source, StreamOptions(every, fps, seed, progress))
+    _present(texts.stream_document(run), texts.stream_text(run), json)
+    return BELOW_QUALITY if run.has_drifted else FINE
 
 
 @app.command()
