@@ -129,7 +129,7 @@ _KINDS = (
     ),
     FindingKind(
         "stream-jumped", _W, "The rig turned at once during a stream",
-        "{angle} jumped by {size_deg:+.3f} ± {sigma_deg:.3f} deg at pair {pair} (told at pair {told_at}); {remedy}.",
+        "{angle} jumped by {size_deg:+.3f} ± {sigma_deg:.3f} deg at pair {pair} (noticed at pair {told_at}); {remedy}.",
         "see what knocked the rig, and run `binocal recalibrate` on pairs from after it",
     ),
     FindingKind(

@@ -30,7 +30,7 @@ STILLS = {
     "nothing moves": STILL,
     "t of 8": replace(STILL, degrees_of_freedom=8),
     "stated noise right": replace(STILL, stated_log_sigma=0.0),
-    "walk of 0.02 to 0.2 mdeg": replace(STILL, walk_deg=DriftFamily.walk_deg),
+    "walk of 0.02 to 0.2 mdeg": DriftFamily(jump_every=np.inf),
     "errors correlated by 0.5": replace(STILL, correlation=0.5),
     "errors correlated by 0.9": replace(STILL, correlation=0.9),
 }

@@ -195,7 +195,8 @@ def _covariance(
     sigma = np.sqrt(np.diagonal(of_cameras))
 
     def of_other_cameras(cameras: tuple[Camera, Camera]) -> EpipolarProblem:
-        left, right = (Rays.of_points(c, p) for c, p in zip(cameras, (matches.left_px, matches.right_px), strict=True))
+        left = problem.left if cameras[0] is request.cameras[0] else Rays.of_points(cameras[0], matches.left_px)
+        right = problem.right if cameras[1] is request.cameras[1] else Rays.of_points(cameras[1], matches.right_px)
         return EpipolarProblem(left, right)
 
     A = np.hstack(

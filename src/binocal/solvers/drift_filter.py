@@ -20,20 +20,17 @@ from numpy import ndarray
 
 from binocal.shapes import Bool, Float, Int
 
-JUMPS = ((0.04, 1 / 600), (1.0, 1e-7))
-"""Knocks, and mounts that give way: standard deviations in degrees, and how many are expected per measurement. Were the latter as
-frequent as the former, far outliers would be taken for them and the RMS error would double; a jump of 1.5 deg is told in two
-measurements all the same."""
+JUMPS = ((0.04, 1 / 600), (1.0, 1e-4))
+"""Knocks, and mounts that give way: standard deviations in degrees, and how many are expected per measurement."""
 WALKS_DEG_PER_ROOT_HOUR = (0.006, 0.03)  # 0.03 and 0.15 mdeg from one measurement to the next at 10 Hz
 RATE_DEG_PER_HOUR = 10.0  # standard deviation before anything is measured; heat turns rigs by less
-JUMP_SIGMAS = 3.0  # of a measurement, that knocks are assumed to add: lesser ones of a noisy angle are not told anyway
 N_KEPT = 8  # hypotheses for each walk
 DEGREES_OF_FREEDOM = 3.0
 STATED_LOG_SIGMA = 0.4  # by which the stated standard deviation of a measurement is wrong, as a logarithm
 N_SCALES = 10
 LEARNT_AFTER = 50.0  # measurements that the stated noise counts for
 LEAST_NOISE = 0.67  # of the stated one: errors that last a scene seem small within it and are a jump to the next
-ALARM_LOG_ODDS = 6.3
+ALARM_LOG_ODDS = 5.8
 """Three filters side by side, as those of a rig's angles, exceed it in 5 % of 1700 measurements in which nothing moves
 (``binocal bench drift``)."""
 
@@ -58,13 +55,17 @@ class DriftState:
     @property
     def weights(self) -> Float[ndarray, "n walks kept"]:
         """Probabilities of the hypotheses."""
-        weights = np.exp(self.log_weight - self.log_weight.max(axis=(1, 2), keepdims=True))
-        return weights / weights.sum(axis=(1, 2), keepdims=True)
+        return _probabilities(self.log_weight)
 
     @property
     def estimate(self) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2"]]:
-        """Level and rate over all hypotheses, and their standard deviations."""
-        mean, covariance = _merged(self.weights, self.mean, self.covariance, (1, 2))
+        """Level and rate over all hypotheses but those of a jump at the last measurement, and their standard deviations.
+
+        That one measurement alone tells a jump happens only where it is very far off, and then it may as well be an outlier.
+        """
+        is_older = self.jumped_at < self.n_measured - 1
+        weights = _probabilities(np.where(is_older, self.log_weight, -np.inf))
+        mean, covariance = _merged(weights, self.mean, self.covariance, (1, 2))
         return mean, np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
 
     @property
@@ -100,7 +101,7 @@ def step_filter(
     state: DriftState, measured_deg: Float[ndarray, "n"], sigma_deg: Float[ndarray, "n"], elapsed_s: float
 ) -> DriftState:
     """After one more measurement of each series, ``elapsed_s`` after the last."""
-    mean, covariance, log_weight, jumped_at = _with_jumps(_predicted(state, elapsed_s / 3600), sigma_deg)
+    mean, covariance, log_weight, jumped_at = _with_jumps(_predicted(state, elapsed_s / 3600))
     found, count = state.noise
     learnt = np.maximum(found / count, LEAST_NOISE**2)
     scales, shares = noise_scales()
@@ -145,23 +146,35 @@ def _predicted(state: DriftState, hours: float) -> DriftState:
     return replace(state, mean=state.mean @ F.T, covariance=covariance)
 
 
-def _with_jumps(state: DriftState, sigma_deg: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Mean, covariance, log weight and number of the last jump, the lightest hypotheses replaced by those of a jump just now."""
+def _with_jumps(state: DriftState) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    """Mean, covariance, log weight and number of the last jump, the lightest hypotheses replaced by those of a jump just now.
+
+    The heaviest one of no new jump is always kept.
+    """
     mean, covariance = np.array(state.mean), np.array(state.covariance)
     log_weight, jumped_at = np.array(state.log_weight), np.array(state.jumped_at)
     highest = log_weight.max(axis=2)
     weights = np.exp(log_weight - highest[..., None])
     together = weights.sum(axis=2)
     merged_mean, merged_covariance = _merged(weights / together[..., None], mean, covariance, (2,))
-    lightest = np.argsort(log_weight, axis=2)
+    is_new = jumped_at > state.settled_at[:, None, None]
+    of_none = np.where(is_new, -np.inf, log_weight).argmax(axis=2)[..., None]  # an outlier must not put it out for good
+    order = np.array(log_weight)
+    np.put_along_axis(order, of_none, np.inf, axis=2)
+    lightest = np.argsort(order, axis=2)
     log_weight += np.log1p(-sum(hazard for _, hazard in JUMPS))
     for rank, (jump_deg, hazard) in enumerate(JUMPS):
         place = (*np.ogrid[: lightest.shape[0], : lightest.shape[1]], lightest[..., rank])
         mean[place], covariance[place] = merged_mean, merged_covariance
-        covariance[(*place, 0, 0)] += (jump_deg**2 + (JUMP_SIGMAS * sigma_deg) ** 2)[:, None]
+        covariance[(*place, 0, 0)] += jump_deg**2
         log_weight[place] = highest + np.log(together) + np.log(hazard)
         jumped_at[place] = state.n_measured
     return mean, covariance, log_weight, jumped_at
+
+
+def _probabilities(log_weight: ndarray) -> ndarray:
+    weights = np.exp(log_weight - log_weight.max(axis=(1, 2), keepdims=True))
+    return weights / weights.sum(axis=(1, 2), keepdims=True)
 
 
 def _merged(weights: ndarray, mean: ndarray, covariance: ndarray, axis: tuple[int, ...]) -> tuple[ndarray, ndarray]:
