@@ -17,7 +17,7 @@ def test_every_filter_is_measured_on_every_family(monkeypatch):
     for row in table["errors"]:
         assert list(row["filters"]) == list(ESTIMATORS) and row["family"] in table["text"]
         errors = {name: filtered["rms_mdeg"] for name, filtered in row["filters"].items()}
-        assert errors["told walk, noise and jumps"] == min(errors.values())
+        assert errors["knows walk, noise and jumps"] == min(errors.values())
     assert [row["filter"] for row in table["alarms"]] == list(ALARMS)
     for row in table["alarms"]:
         assert all(delay["median"] <= delay["p90"] and 0 <= delay["never"] <= 24 for delay in row["delays"])

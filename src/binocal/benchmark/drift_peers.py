@@ -102,7 +102,7 @@ ESTIMATORS: dict[str, Callable[[DriftSeries], Filtered]] = {
     "adaptive Kalman filter": partial(adaptive_kalman, memory=5.0, share=0.03),
     "robust Kalman filter": partial(robust_kalman, walk_deg=2e-3),
     "moving average": partial(moving_average, gain=0.07),
-    "told walk, noise and jumps": oracle,
+    "knows walk, noise and jumps": oracle,
 }
 ALARMS: dict[str, Callable[[DriftSeries], Filtered]] = {
     "multi-hypothesis": multi_hypothesis,
