@@ -30,7 +30,7 @@ STATED_LOG_SIGMA = 0.4  # by which the stated standard deviation of a measuremen
 N_SCALES = 10
 LEARNT_AFTER = 50.0  # measurements that the stated noise counts for
 LEAST_NOISE = 0.67  # of the stated one: errors that last a scene seem small within it and are a jump to the next
-ALARM_LOG_ODDS = 5.8
+ALARM_LOG_ODDS = 6.3
 """Three filters side by side, as those of a rig's angles, exceed it in 5 % of 1700 measurements in which nothing moves
 (``binocal bench drift``)."""
 
