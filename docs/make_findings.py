@@ -270,6 +270,20 @@ EXPLANATIONS = {
         Without a rig nothing is known of the lens. Where lines bend as a lens bends them, all over the image and by at least
         seven standard deviations, one radial coefficient is taken from the bend. It leaves what higher coefficients do, which is
         some tenths of a pixel to some pixels in the corners; a calibrated lens leaves less.""",
+    "stream-too-few": """
+        A stream is watched by comparing its pairs with each other; one or two cannot be. Each skipped pair is listed with what
+        it shows.""",
+    "stream-jumped": """
+        The odds that the rig has turned at once, against all measured turns being of a rig that stands or creeps, exceed a
+        threshold. It was set by simulation so that 5 % of the streams of 1700 pairs of a rig that does not move raise an alarm
+        in one of the three angles (`binocal bench drift`). The pair named is the first after the jump by the most probable account; it can be
+        off by a few where the jump is small.""",
+    "stream-pairs-skipped": """
+        Pairs that are black, blurred or show a bare wall, or whose scene leaves an angle open, tell no turn. They are left out
+        and time goes on.""",
+    "stream-without-times": """
+        A rate of drift needs times. They are taken from the data set, from files that are named by their time since 1970 (in
+        nano-, micro- or milliseconds), or from `--fps`. Jumps are found without them.""",
     "principal-points-near-middle": """
         Through a telephoto lens a shift of the principal point moves the image almost as a turn of the camera does, with a
         little of the distortion in between. The views then leave the principal points open by a tenth of the image and more,

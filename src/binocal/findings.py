@@ -206,6 +206,25 @@ _KINDS = (
         "near; {remedy}.",
         "turn the camera by 20 to 45 degrees against walls and floor",
     ),
+    FindingKind(
+        "stream-too-few", _R, "Too few pairs of a stream tell the rig's turn",
+        "{n_told} pairs or groups of pairs of the stream tell the rig's turn, {n_needed} are needed; {remedy}.",
+        "give more pairs, or look at them without --stream", DegenerateGeometryError,
+    ),
+    FindingKind(
+        "stream-jumped", _W, "The rig turned at once during a stream",
+        "{angle} jumped by {size_deg:+.3f} ± {sigma_deg:.3f} deg at pair {pair} (noticed at pair {told_at}); {remedy}.",
+        "see what knocked the rig, and run `binocal recalibrate` on pairs from after it",
+    ),
+    FindingKind(
+        "stream-pairs-skipped", _N, "Pairs of a stream that do not tell the rig's turn",
+        "{n_skipped} pairs do not tell the turn and were skipped, {n_used} were used: {names}; the first: {reason}", "",
+    ),
+    FindingKind(
+        "stream-without-times", _N, "A stream without times",
+        "nothing says when the pairs were taken, so that there is no rate of drift; {remedy}.",
+        "give the pairs per second with --fps",
+    ),
     # --- a solved rig that is no result
     FindingKind(
         "corners-do-not-fit", _R, "Residuals are large against the spacing of the corners",

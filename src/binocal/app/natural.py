@@ -109,11 +109,15 @@ class NaturalRun:
     @property
     def depth_error_percent(self) -> dict[str, float]:
         """What the drift in yaw does to depth, percent, by distance in metres; empty without a length."""
-        rig = self.calibration.rig
-        if not rig.is_metric:
-            return {}
-        yaw = np.radians(abs(float(self.drift.turn_deg[1])))
-        return {f"{z:g}": float(100 * z * yaw / rig.baseline_m) for z in DEPTHS_M}
+        return depth_error_percent(self.calibration.rig, self.drift)
+
+
+def depth_error_percent(rig: StereoRig, drift: Drift) -> dict[str, float]:
+    """What a drift in yaw does to depth, percent, by distance in metres; empty without a length."""
+    if not rig.is_metric:
+        return {}
+    yaw = np.radians(abs(float(drift.turn_deg[1])))
+    return {f"{z:g}": float(100 * z * yaw / rig.baseline_m) for z in DEPTHS_M}
 
 
 def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) -> NaturalRun:

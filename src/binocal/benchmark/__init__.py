@@ -36,6 +36,12 @@ def _detection(**options: Any) -> dict[str, Any]:
     return run_detection_benchmark(**options)
 
 
+def _drift(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.drift import run_drift_benchmark
+
+    return run_drift_benchmark(**options)
+
+
 def _sound(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.sound import run_sound_benchmark
 
@@ -89,6 +95,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "corners": _corners,
     "coverage": _coverage,
     "detection": _detection,
+    "drift": _drift,
     "faults": _faults,
     "pipeline": _pipeline,
     "precision": _precision,

@@ -166,10 +166,11 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
 
 
 def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarray, "p"]) -> Float[ndarray, "n p"]:
-    matches = solved.matches
+    problem, matches = solved.problem, solved.matches
 
     def of_other_cameras(pair: tuple[Camera, Camera]) -> EpipolarProblem:
-        left, right = (Rays.of_points(c, p) for c, p in zip(pair, (matches.left_px, matches.right_px), strict=True))
+        left = problem.left if pair[0] is cameras[0] else Rays.of_points(pair[0], matches.left_px)
+        right = problem.right if pair[1] is cameras[1] else Rays.of_points(pair[1], matches.right_px)
         return EpipolarProblem(left, right)
 
     return slopes_by_intrinsics(of_other_cameras, cameras, solved.estimate, sigma, len(matches))

@@ -20,7 +20,7 @@ def check_document(run: NaturalRun, **more: Any) -> dict[str, Any]:
     """Rows, drift, depth, and what they say."""
     return {
         "rows": {"given": _rows_document(run.before), "best": _rows_document(run.after)},
-        "drift": _drift_document(run.drift),
+        "drift": drift_document(run.drift),
         "depth_error_percent": run.depth_error_percent,
         "n_matches": run.after.n_matches,
         "pairs": [view.name for view in run.calibration.views],
@@ -34,7 +34,8 @@ def _rows_document(rows: RowFigures) -> dict[str, Any]:
     return {"median_px": rows.median_px, "p95_px": rows.p95_px, "by_region_px": regions}
 
 
-def _drift_document(drift: Drift) -> dict[str, Any]:
+def drift_document(drift: Drift) -> dict[str, Any]:
+    """Turns from what the rig is compared with, and whether it has drifted."""
     return {
         "against": drift.against,
         "has_drifted": drift.is_sure,

@@ -399,7 +399,13 @@ OldRig = Annotated[
     ),
 ]
 MaxPairs = Annotated[
-    int, typer.Option("--max-pairs", help="Use the N most telling pairs of those looked at.", metavar="N", min=1)
+    int | None,
+    typer.Option(
+        "--max-pairs",
+        help="Use the N most telling pairs of twice as many looked at; 8 unless given.",
+        metavar="N",
+        min=1,
+    ),
 ]
 
 
@@ -433,7 +439,7 @@ def recalibrate(
         bool,
         typer.Option("--reference", help="Write the rig as given, with this result as what `check` compares with."),
     ] = False,
-    max_pairs: MaxPairs = 20,
+    max_pairs: MaxPairs = None,
     seed: Seed = 0,
     threads: Threads = None,
     force: Force = False,
@@ -452,7 +458,7 @@ def recalibrate(
     if reference and given is None:
         raise typer.BadParameter("--reference keeps the rig as given: give --rig with a rig.json.")
     with progress_on_terminal() as progress:
-        options = natural.NaturalOptions(start is Starts.rig, length_m, max_pairs, seed, progress)
+        options = natural.NaturalOptions(start is Starts.rig, length_m, max_pairs or natural.MAX_PAIRS, seed, progress)
         run = natural.recalibrate(source, options)
     written = natural.with_reference(given, run) if reference and given is not None else run.calibration
     rig_json.write_calibration(output, written, force=force)
@@ -467,7 +473,26 @@ def check(
     right: SomeRight = None,
     dataset: Dataset = None,
     rig: OldRig = None,
-    max_pairs: MaxPairs = 20,
+    stream: Annotated[
+        bool,
+        typer.Option(
+            "--stream", help="Watch the rig over all pairs, in their order: drift per hour, and jumps by pair."
+        ),
+    ] = False,
+    every: Annotated[
+        int | None,
+        typer.Option("--every", help="With --stream: N pairs in a row are one measurement.", metavar="N", min=1),
+    ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            "--fps",
+            help="With --stream: pairs per second, in place of the times that the images have.",
+            metavar="F",
+            callback=_finite,
+        ),
+    ] = None,
+    max_pairs: MaxPairs = None,
     seed: Seed = 0,
     threads: Threads = None,
     json: Json = False,
@@ -477,9 +502,19 @@ def check(
     from binocal.cli import natural as texts
     from binocal.cli.progress import progress_on_terminal
 
+    if not stream and (every is not None or fps is not None):
+        raise typer.BadParameter("--every and --fps belong to --stream.")
+    if stream and max_pairs is not None:
+        raise typer.BadParameter("--stream takes every pair; leave out --max-pairs.")
+    if fps is not None and fps <= 0:
+        raise typer.BadParameter(f"--fps is {fps:g}; give pairs per second, such as 10.")
     _, source = _natural_source(left, right, dataset, rig)
+    if stream:
+        return _check_stream(source, every or 1, fps, seed, json)
     with progress_on_terminal() as progress:
-        run = natural.recalibrate(source, natural.NaturalOptions(max_pairs=max_pairs, seed=seed, progress=progress))
+        run = natural.recalibrate(
+            source, natural.NaturalOptions(max_pairs=max_pairs or natural.MAX_PAIRS, seed=seed, progress=progress)
+        )
     _present(texts.check_document(run), texts.check_text(run), json)
     return BELOW_QUALITY if run.drift.is_sure else FINE
 
@@ -535,6 +570,17 @@ def vanishing_points(
     list_left_out([(str(path), reason) for path, reason in run.ignored], (), ())
     _present(texts.scene_document(run), texts.scene_text(run), json)
     return FINE if run.check is None or run.check.agrees else BELOW_QUALITY
+
+
+def _check_stream(source: Any, every: int, fps: float | None, seed: int, json: bool) -> int:
+    from binocal.app.stream import StreamOptions, check_stream
+    from binocal.cli import stream as texts
+    from binocal.cli.progress import progress_on_terminal
+
+    with progress_on_terminal() as progress:
+        run = check_stream(source, StreamOptions(every, fps, seed, progress))
+    _present(texts.stream_document(run), texts.stream_text(run), json)
+    return BELOW_QUALITY if run.has_drifted else FINE
 
 
 @app.command()

@@ -9,6 +9,7 @@ from binocal.datasets.folder import IMAGE_SUFFIXES
 from binocal.datasets.naming import natural_key
 from binocal.findings import finding, refusal
 
+UNITS_NS = {19: 1, 16: 1000, 13: 1_000_000}  # by the number of digits of a time since 1970
 MOST_NAMED = 5  # unmatched images named in a sentence; the data set lists all
 
 
@@ -85,3 +86,12 @@ def _find_nearest(times_ns: Sequence[int], others_ns: Sequence[int]) -> list[int
             j += 1
         nearest.append(j)
     return nearest
+
+
+def time_of_name_ns(name: str) -> int | None:
+    """The time since 1970 that a file is named by, in nanoseconds; None where its name is no such time.
+
+    Its length tells the unit: 19 digits are nanoseconds, 16 microseconds, 13 milliseconds, as of any time from 2001 to 2286.
+    """
+    digits = name if name.isdecimal() and name.isascii() and name[0] != "0" else ""
+    return int(digits) * UNITS_NS[len(digits)] if len(digits) in UNITS_NS else None
