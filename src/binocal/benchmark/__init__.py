@@ -48,6 +48,12 @@ def _faults(**options: Any) -> dict[str, Any]:
     return run_faults_benchmark(**options)
 
 
+def _fisheye(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.fisheye import run_fisheye_benchmark
+
+    return run_fisheye_benchmark(**options)
+
+
 def _pipeline(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.pipeline import run_pipeline_benchmark
 
@@ -90,6 +96,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "coverage": _coverage,
     "detection": _detection,
     "faults": _faults,
+    "fisheye": _fisheye,
     "pipeline": _pipeline,
     "precision": _precision,
     "real": _real,
