@@ -97,9 +97,9 @@ def _row(name: str, rigs: int, seed: int) -> dict[str, Any]:
         "refusals": refused,
         "iterations": float(np.median(iterations)) if iterations else np.nan,
         "most_iterations": max(iterations, default=0),
-        "within_1": float(np.mean(z < 1)),
-        "within_2": float(np.mean(z < 2)),
-        "z_rms": float(np.sqrt(np.mean(z**2))),
+        "within_1": float(np.mean(z < 1)) if z.size else np.nan,
+        "within_2": float(np.mean(z < 2)) if z.size else np.nan,
+        "z_rms": float(np.sqrt(np.mean(z**2))) if z.size else np.nan,
         "far": int((z > FAR_SIGMAS).sum()),
         "parameters": int(z.size),
     }
