@@ -144,7 +144,12 @@ def _ways(
 
     def mrcal(corners: Detections, lens: str) -> Way:
         focal_px = SIZE_WH[0] / np.radians(field_deg)
-        return lambda: _Estimate(*rays_by_mrcal(corners, lens, focal_px, pixels, noise_px=NOISE_PX), corners.n_views)
+
+        def way() -> _Estimate:
+            T_right_left, rays = rays_by_mrcal(corners, lens, focal_px, pixels, noise_px=NOISE_PX)
+            return _Estimate(T_right_left, rays, corners.n_views)
+
+        return way
 
     ways: dict[str, Way] = {
         OURS: binocal,
@@ -177,8 +182,8 @@ def _detect_with_opencv(listed: list[ImagePair], board: Board) -> Detections:
     paths = [path for pair in listed for path in (pair.left_path, pair.right_path)]
     sides = pair_corners([find_corners_by_sector(read_grey(path), board) for path in paths])
     n = len(board.object_points_m)
-    px = (np.array(side, dtype=float).reshape(-1, n, 2) for side in sides)
-    return Detections.from_arrays(board.object_points_m, *px, SIZE_WH)
+    left, right = (np.array(side, dtype=float).reshape(-1, n, 2) for side in sides)
+    return Detections.from_arrays(board.object_points_m, left, right, SIZE_WH)
 
 
 def _row(field_deg: int, name: str, found: ndarray, own: ndarray) -> dict[str, Any]:

@@ -58,7 +58,7 @@ if data["warp"]:
     solve(lens, intrinsics, calobject_warp=np.zeros(2), **(whole | {"do_optimize_calobject_warp": True}))
 elapsed = time.perf_counter() - start
 with os.fdopen(stdout, "w") as out:
-    rays = [mrcal.unproject(data["pixels"], lens, i, normalize=True).tolist() for i in intrinsics] if "pixels" in data else None
+    rays = [mrcal.unproject(data["pixels"], lens, i, normalize=True).tolist() for i in intrinsics] if len(data["pixels"]) else None
     json.dump({"elapsed_s": elapsed, "rt_right_left": rig[0].tolist(), "intrinsics": intrinsics.tolist(), "rays": rays}, out)
 """
 
@@ -186,7 +186,7 @@ def _solve(
         spacing=spacing_m,
         lens=lens,
         warp=with_warp,
-        **({} if pixels is None else {"pixels": pixels}),
+        pixels=np.zeros((0, 2)) if pixels is None else pixels,
     )
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
     done = subprocess.run(
