@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import streets
-from binocal.app import natural, stream
+from binocal.app import natural, pair_matching, stream
 from binocal.cameras import Camera, StereoRig
 from binocal.cli import main
 from binocal.datasets import StereoPair
@@ -18,6 +18,7 @@ from binocal.datasets.frames import time_of_name_ns
 from binocal.errors import DegenerateGeometryError
 from binocal.formats import rig_json
 from binocal.geometry import SE3, so3
+from binocal.matching.pairs import PairMatches
 
 STREET = StereoRig(*streets.cameras(), streets.T_RIGHT_LEFT)
 
@@ -45,6 +46,13 @@ def street_source(tmp_path, n_pairs):
     )
 
 
+def give(monkeypatch, match):
+    """The stream's matches are those of a function of cameras and pair."""
+    monkeypatch.setattr(
+        pair_matching, "match_files", lambda pair, cameras: PairMatches(match(cameras, pair), (1500, 1500), (1.0, 1.0))
+    )
+
+
 def test_a_rig_that_is_turned_on_the_way(tmp_path, monkeypatch):
     """Matches with truth: a pair is skipped by name, the jump is told, and none where the rig stands."""
 
@@ -53,7 +61,7 @@ def test_a_rig_that_is_turned_on_the_way(tmp_path, monkeypatch):
         return turned_matches(found, cameras[1], 0, deg if int(pair.name) >= 8 else 0.0)
 
     source = street_source(tmp_path, 14)
-    monkeypatch.setattr(stream, "match_images", lambda cameras, pair: match(cameras, pair, 0.1))
+    give(monkeypatch, lambda cameras, pair: match(cameras, pair, 0.1))
     calls = []
     found = stream.check_stream(source, stream.StreamOptions(fps=1.0, progress=lambda *a: calls.append(a)))
     assert [name for name, _ in found.skipped] == ["3"] and "points" in found.skipped[0][1]
@@ -61,14 +69,14 @@ def test_a_rig_that_is_turned_on_the_way(tmp_path, monkeypatch):
     (jump,) = found.track.jumps
     assert jump.angle == 0 and found.turns[jump.at].name == "8" and abs(jump.size_deg - 0.1) < 3 * jump.sigma_deg
     assert found.has_drifted and {one.code for one in found.findings} == {"stream-jumped", "stream-pairs-skipped"}
-    monkeypatch.setattr(stream, "match_images", lambda cameras, pair: match(cameras, pair, 0.0))
+    give(monkeypatch, lambda cameras, pair: match(cameras, pair, 0.0))
     still = stream.check_stream(source, stream.StreamOptions(every=2))
     assert not still.has_drifted and len(still.turns) == 7 and not still.skipped
     assert np.abs(still.drift.turn_deg / still.drift.sigma_deg).max() < 3
 
 
 def test_a_stream_that_tells_nothing_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(stream, "match_images", lambda cameras, pair: matches_of_street(cameras, pair, 10))
+    give(monkeypatch, lambda cameras, pair: matches_of_street(cameras, pair, 10))
     with pytest.raises(DegenerateGeometryError, match="0 pairs or groups") as caught:
         stream.check_stream(street_source(tmp_path, 4))
     assert list(caught.value.rejected) == ["0", "1", "2", "3"]
@@ -126,7 +134,7 @@ def test_real_streams(data_dir, monkeypatch, dataset):
     kind, _, path = dataset.partition(":")
     source = natural.source_of_dataset(f"{kind}:{data_dir / path}", None)
     cameras = source.rig.left, source.rig.right
-    matched = {pair.name: natural.match_images(cameras, pair) for pair in source.pairs}
+    matched = {pair.name: pair_matching.match_files(pair, cameras).matches for pair in source.pairs}
     middle = len(source.pairs) // 2
     late = {pair.name for pair in source.pairs[middle:]}
     for axis, deg in ((0, 0.0), (0, 0.1), (2, 0.1)):
@@ -135,7 +143,7 @@ def test_real_streams(data_dir, monkeypatch, dataset):
             found = matched[pair.name]
             return turned_matches(found, cameras[1], axis, deg) if pair.name in late else found
 
-        monkeypatch.setattr(stream, "match_images", match)
+        give(monkeypatch, match)
         jumps = stream.check_stream(source).track.jumps
         assert [(jump.angle, jump.at) for jump in jumps] == ([(axis, middle)] if deg else [])
         assert all(abs(jump.size_deg - 0.1) < 0.03 for jump in jumps)

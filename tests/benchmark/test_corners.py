@@ -4,7 +4,9 @@ import numpy as np
 import plain_corner_fit as plain
 import pytest
 
-from binocal.benchmark.corners import _edges, corner_bound, run_corners_benchmark
+from binocal.benchmark.corner_bound import corner_bound
+from binocal.benchmark.corner_rings import format_rings, measure_rings
+from binocal.benchmark.corners import _edges, run_corners_benchmark
 
 
 @pytest.mark.parametrize("opening_rad", [0.7, 1.2, 1.57, 2.2])
@@ -32,7 +34,7 @@ def test_edges_and_reach_follow_the_grid():
 
 @pytest.mark.slow
 def test_corners_are_at_the_bound_and_opencvs_are_not():
-    table = run_corners_benchmark(blurs_px=(0.8,), noises_dn=(3.0,), images=3)
+    table = run_corners_benchmark(blurs_px=(0.8,), noises_dn=(3.0,), images=3, images_a_lens=1)
     for row in table["rows"]:
         ours = row["binocal"]
         assert ours["n_failed"] == 0
@@ -41,3 +43,15 @@ def test_corners_are_at_the_bound_and_opencvs_are_not():
         assert np.abs(ours["bias_px"]).max() < 0.002  # 250 corners of sigma 0.006
         assert 0.60 < ours["within_1_sigma"] < 0.76
     assert "JPEG 90" in table["text"]
+
+
+@pytest.mark.slow
+def test_rings_of_wide_lenses_are_unbiased_and_at_the_bound():
+    rows = measure_rings(3, seed=1)
+    assert {row["field_deg"] for row in rows} == {60, 110, 150, 180, 200}
+    for row in rows:
+        assert row["n_failed"] == 0
+        assert abs(row["bias_px"]) < 0.002 + 4 * row["bias_error_px"]
+        few = 4 / np.sqrt(2 * row["n_corners"])
+        assert abs(row["z_rms"] - 1) < 0.1 + few and row["over_bound"] < 1.1 + few
+        assert f"{row['bias_px']:+.4f}" in format_rings(rows, 3)

@@ -36,7 +36,7 @@ def test_unknown_benchmarks_are_named():
 def test_corners_are_scored_against_the_bound(monkeypatch):
     cases = corners._cases
     monkeypatch.setattr(corners, "_cases", lambda *given: cases(*given)[:1])
-    (row,) = corners.run_corners_benchmark(blurs_px=(0.8,), noises_dn=(3.0,), images=1)["rows"]
+    (row,) = corners.run_corners_benchmark(blurs_px=(0.8,), noises_dn=(3.0,), images=1, images_a_lens=1)["rows"]
     ours = row["binocal"]
     assert row["case"] == "blur 0.8, noise 3" and 60 < ours["n_corners"] <= 88 and ours["n_failed"] == 0
     assert 0.7 < ours["over_bound"] < 1.3 < row["cornerSubPix"]["over_bound"]

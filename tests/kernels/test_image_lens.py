@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from binocal.benchmark.wide_lenses import LENSES
 from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
-from wide_lenses import LENSES, see_board
+from wide_lenses import see_board
 
 SIZES = ((640, 480), (1920, 1200))
 

@@ -54,6 +54,12 @@ def _faults(**options: Any) -> dict[str, Any]:
     return run_faults_benchmark(**options)
 
 
+def _fisheye(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.fisheye import run_fisheye_benchmark
+
+    return run_fisheye_benchmark(**options)
+
+
 def _pipeline(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.pipeline import run_pipeline_benchmark
 
@@ -97,6 +103,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "detection": _detection,
     "drift": _drift,
     "faults": _faults,
+    "fisheye": _fisheye,
     "pipeline": _pipeline,
     "precision": _precision,
     "real": _real,

@@ -4,7 +4,8 @@ The bound of a corner is the inverse Fisher information of a nine-parameter sadd
 offset, contrast, two additive slopes of the grey value) over the pixels of the disc that binocal's fit takes (0.85 of
 the way to the next edge, 3 to 14 px), at the true corner, for the pixel noise that was rendered, rounding included.
 Everyone starts from the truth within a pixel, so that only refinement is compared; findChessboardCornersSB finds its
-own. Images differ by seed in pose, size and place of the board.
+own. Images differ by seed in pose, size and place of the board. A second table has lenses of 60 to 200 degrees, by ring of
+the image (:mod:`.corner_rings`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from binocal.benchmark.corner_bound import corner_bound
+from binocal.benchmark.corner_rings import format_rings, measure_rings
 from binocal.boards import parse_board
 from binocal.cameras import Camera
 from binocal.detection.measuring.corner_fit import fit_corners
@@ -103,52 +106,6 @@ def _edges(corners: Float[ndarray, "n 2"]) -> tuple[Float[ndarray, "n 2"], Float
     reach = cross / np.maximum(np.linalg.norm(along_x, axis=-1), np.linalg.norm(along_y, axis=-1))
     angles = np.stack([np.arctan2(d[..., 1], d[..., 0]) for d in (along_x, along_y)], axis=-1)
     return angles.reshape(-1, 2), reach.ravel()
-
-
-def corner_bound(
-    corner: Float[ndarray, "2"],
-    edges_rad: Float[ndarray, "2"],
-    *,
-    blur_px: float,
-    contrast_dn: float,
-    noise_dn: float,
-    radius_px: float,
-) -> Float[ndarray, "2 2"]:
-    """Least covariance of an unbiased estimate of a corner's position, px^2 (Cramér-Rao).
-
-    ``blur_px`` is the Gaussian's sigma with pixel integration included, ``contrast_dn`` bright minus dark. Derivatives of
-    the position, the angles and the blur are those of the exact blurred pattern of two crossing edges.
-    """
-    from scipy.special import erf
-
-    reach = int(np.ceil(radius_px)) + 1
-    centre = np.rint(corner)
-    v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1] + (centre - corner)[::-1, None, None]
-    inside = np.hypot(u, v) <= radius_px
-    u, v = u[inside], v[inside]
-    normals = np.stack([-np.sin(edges_rad), np.cos(edges_rad)], axis=-1)
-    along = np.stack([np.cos(edges_rad), np.sin(edges_rad)], axis=-1)
-    d1, d2 = (n[0] * u / blur_px + n[1] * v / blur_px for n in normals)
-    s1, s2 = (a[0] * u / blur_px + a[1] * v / blur_px for a in along)
-    rho = float(normals[0] @ normals[1])
-    rest = np.sqrt(1 - rho**2)
-    density = np.sqrt(2 / np.pi)
-    F1 = density * np.exp(-0.5 * d1**2) * erf((d2 - rho * d1) / (np.sqrt(2) * rest))
-    F2 = density * np.exp(-0.5 * d2**2) * erf((d1 - rho * d2) / (np.sqrt(2) * rest))
-    joint = 2 / (np.pi * rest) * np.exp(-0.5 * (d1**2 - 2 * rho * d1 * d2 + d2**2) / rest**2)
-    skew = np.sin(edges_rad[0] - edges_rad[1])
-    position = [-(F1 * normals[0][i] + F2 * normals[1][i]) / blur_px for i in (0, 1)]
-    # The pattern itself, for the contrast's column, by Price's integral over the correlation.
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    arc = np.arcsin(rho)
-    F = erf(d1 / np.sqrt(2)) * erf(d2 / np.sqrt(2))
-    for t, w in zip(arc * (nodes + 1) / 2, arc * weights / np.pi, strict=True):
-        F = F + w * np.exp(-(d1**2 + d2**2 - 2 * d1 * d2 * np.sin(t)) / (2 * np.cos(t) ** 2))
-    half = 0.5 * contrast_dn
-    turn1, turn2 = -F1 * s1 - joint * skew, -F2 * s2 + joint * skew
-    columns = [half * c for c in (*position, turn1, turn2, F1 * d1 + F2 * d2)] + [np.ones_like(u), F, u, v]
-    J = np.stack(columns)
-    return noise_dn**2 * np.linalg.inv(J @ J.T)[:2, :2]
 
 
 def _levels(case: _Case) -> tuple[float, float, float]:
@@ -245,9 +202,12 @@ def run_corners_benchmark(
     blurs_px: tuple[float, ...] = BLURS_PX,
     noises_dn: tuple[float, ...] = NOISES_DN,
     images: int = 6,
+    images_a_lens: int = 120,
     seed: int = 0,
 ) -> dict[str, Any]:
     """Errors over the bound, bias, coverage of the stated covariance and time per image, for every case and method.
+
+    And by ring of the image for lenses of 60 to 200 degrees.
 
     OpenCV's finder SB is timed with its search, the refinements without.
     """
@@ -259,6 +219,7 @@ def run_corners_benchmark(
         for name, tally in _run_case(case, range(seed, seed + images)).items():
             row[name] = _summary(tally)
         rows.append(row)
+    rings = measure_rings(images_a_lens, seed)
     machine = (
         f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}, OpenCV {cv2.__version__}"
     )
@@ -270,7 +231,8 @@ def run_corners_benchmark(
         "seed": seed,
         "machine": machine,
         "rows": rows,
-        "text": _format(rows, machine, images),
+        "rings": rings,
+        "text": _format(rows, machine, images) + "\n\n" + format_rings(rings, images_a_lens),
     }
 
 

@@ -1,7 +1,8 @@
 """mrcal as a peer: seed and solve in a process of its own, in the Python that has mrcal, which times itself.
 
 The solve is what ``mrcal-calibrate-cameras`` does: stereographic seed, poses alone, core, then everything with its model
-and outlier rejection. The board is held flat, as it is for the others, unless its warp is asked for.
+and outlier rejection; of splined models the core is held in the last solve, which is the same as theirs. The board is held flat, as it
+is for the others, unless its warp is asked for.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import shutil
 import subprocess
 import sys
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -49,14 +51,15 @@ for core in (False, True):
           do_apply_outlier_rejection=False, do_apply_regularization=False)
 more = mrcal.lensmodel_num_params(lens) - 4
 intrinsics = np.concatenate([intrinsics, (np.random.default_rng(0).random((2, more)) - 0.5) * 2e-6], axis=-1)
-whole = dict(do_optimize_intrinsics_core=True, do_optimize_intrinsics_distortions=True,
+whole = dict(do_optimize_intrinsics_core="SPLINED" not in lens, do_optimize_intrinsics_distortions=more > 0,
              do_apply_outlier_rejection=True, do_apply_regularization=True)
 solve(lens, intrinsics, **whole)
 if data["warp"]:
     solve(lens, intrinsics, calobject_warp=np.zeros(2), **(whole | {"do_optimize_calobject_warp": True}))
 elapsed = time.perf_counter() - start
 with os.fdopen(stdout, "w") as out:
-    json.dump({"elapsed_s": elapsed, "rt_right_left": rig[0].tolist(), "intrinsics": intrinsics.tolist()}, out)
+    rays = [mrcal.unproject(data["pixels"], lens, i, normalize=True).tolist() for i in intrinsics] if len(data["pixels"]) else None
+    json.dump({"elapsed_s": elapsed, "rt_right_left": rig[0].tolist(), "intrinsics": intrinsics.tolist(), "rays": rays}, out)
 """
 
 
@@ -112,15 +115,60 @@ def solve_with_mrcal(
 ) -> tuple[float, StereoRig]:
     """Seconds that seed and solve took, and the rig. ``grid`` is the board's rows, columns and spacing; ``model`` a brown one.
 
-    Corners that were not seen are given no weight, and images with fewer than six left out.
+    Raises:
+        RuntimeError: mrcal failed.
+    """
+    focal_px = 1.2 * detections.left_size_wh[0]
+    found = _solve(detections, grid, LENS_MODELS[model], focal_px, with_warp=with_warp)
+    left, right = (
+        Camera(model, size_wh, np.r_[p[:4], 0.0, p[4:]])
+        for size_wh, p in zip(
+            (detections.left_size_wh, detections.right_size_wh), np.array(found["intrinsics"]), strict=True
+        )
+    )
+    return found["elapsed_s"], StereoRig(left, right, _T_right_left(found), detections.is_metric)
+
+
+def rays_by_mrcal(
+    detections: Detections, lens: str, focal_px: float, pixels: Float[ndarray, "n 2"], *, noise_px: float
+) -> tuple[SE3, list[Float[ndarray, "n 3"]]]:
+    """``T_right_left`` by mrcal with a lens model of its own, and both cameras' unit rays of those pixels.
+
+    ``lens`` is ``LENSMODEL_SPLINED_STEREOGRAPHIC_...`` say, ``focal_px`` a rough focal length. ``noise_px`` of the corners sets
+    their weight against mrcal's regularisation of the lens, which takes it for 1 px unless told.
+
+    Raises:
+        ValueError: The board's points are no square grid, row by row.
+        RuntimeError: mrcal failed.
+    """
+    found = _solve(detections, grid_of(detections.object_points_m), lens, focal_px, pixels=pixels, noise_px=noise_px)
+    return _T_right_left(found), [np.array(rays) for rays in found["rays"]]
+
+
+def _T_right_left(found: dict[str, Any]) -> SE3:
+    rt = np.array(found["rt_right_left"])
+    return SE3(so3.exp(rt[:3]), rt[3:])
+
+
+def _solve(
+    detections: Detections,
+    grid: tuple[int, int, float],
+    lens: str,
+    focal_px: float,
+    *,
+    with_warp: bool = False,
+    pixels: Float[ndarray, "n 2"] | None = None,
+    noise_px: float = 1.0,
+) -> dict[str, Any]:
+    """What the script prints. Corners that were not seen are given no weight, and images with fewer than six left out.
 
     Raises:
         RuntimeError: mrcal failed.
     """
     rows, columns, spacing_m = grid
-    pixels = np.stack([detections.left_px, detections.right_px], axis=1).reshape(-1, rows, columns, 2)
-    is_seen = np.isfinite(pixels[..., 0])
-    weighted = np.concatenate([np.nan_to_num(pixels), np.where(is_seen, 1.0, -1.0)[..., None]], axis=-1)
+    seen_px = np.stack([detections.left_px, detections.right_px], axis=1).reshape(-1, rows, columns, 2)
+    is_seen = np.isfinite(seen_px[..., 0])
+    weighted = np.concatenate([np.nan_to_num(seen_px), np.where(is_seen, 1 / noise_px, -1.0)[..., None]], axis=-1)
     frame_camera = np.argwhere(np.ones((detections.n_views, 2))).astype(np.int32)
     is_used = is_seen.sum(axis=(1, 2)) >= min(LEAST_CORNERS, rows * columns)
     used_frames, frames = np.unique(frame_camera[is_used, 0], return_inverse=True)
@@ -133,11 +181,12 @@ def solve_with_mrcal(
         data,
         observations=weighted[is_used],
         frame_camera=frame_camera,
-        focal=1.2 * sizes[0, 0],
+        focal=focal_px,
         sizes=sizes,
         spacing=spacing_m,
-        lens=LENS_MODELS[model],
+        lens=lens,
         warp=with_warp,
+        pixels=np.zeros((0, 2)) if pixels is None else pixels,
     )
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
     done = subprocess.run(
@@ -145,11 +194,4 @@ def solve_with_mrcal(
     )
     if done.returncode != 0:
         raise RuntimeError(f"mrcal failed: {done.stderr.decode(errors='replace')[-500:]}")
-    found = json.loads(done.stdout)
-    left, right = (
-        Camera(model, (int(w), int(h)), np.r_[p[:4], 0.0, p[4:]])
-        for (w, h), p in zip(sizes, found["intrinsics"], strict=True)
-    )
-    rt = found["rt_right_left"]
-    T_right_left = SE3(so3.exp(np.array(rt[:3])), np.array(rt[3:]))
-    return found["elapsed_s"], StereoRig(left, right, T_right_left, detections.is_metric)
+    return json.loads(done.stdout)

@@ -43,6 +43,22 @@ def find_corners_with_opencv(grey: ndarray, board: Board) -> Float[ndarray, "n 1
     is_found, corners = cv2.findChessboardCorners(grey, (board.columns, board.rows), flags=flags)
     if not is_found:
         return None
+    return _refined(grey, corners)
+
+
+def find_corners_by_sector(grey: ndarray, board: Board) -> Float[ndarray, "n 1 2"] | None:
+    """The board's corners by ``findChessboardCornersSB``, which finds more through strong lenses, then ``cornerSubPix``, or None."""
+    import cv2
+
+    is_found, corners = cv2.findChessboardCornersSB(grey, (board.columns, board.rows))
+    if not is_found:
+        return None
+    return _refined(grey, corners)
+
+
+def _refined(grey: ndarray, corners: ndarray) -> Float[ndarray, "n 1 2"]:
+    import cv2
+
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
     return cv2.cornerSubPix(grey, np.ascontiguousarray(corners).reshape(-1, 1, 2), WINDOW, (-1, -1), stop)
 
@@ -84,11 +100,11 @@ def run_opencv(detections: Detections) -> tuple[float, ndarray, ndarray]:
     return time.perf_counter() - start, R, t
 
 
-def calibrate_rig(detections: Detections, model: str) -> StereoRig:
+def calibrate_rig(detections: Detections, model: str, *, start: StereoRig | None = None) -> StereoRig:
     """The rig of a calibration of each camera from all that it saw, then the joint solve with intrinsics free.
 
     ``model`` is ``brown4``, ``brown5``, ``brown8`` or ``fisheye4``, for which OpenCV has a module of its own. Views with fewer than
-    six corners are left out.
+    six corners are left out. With ``start``, the lenses of that model are calibrated from those of that rig.
 
     Raises:
         ValueError: OpenCV has no such model.
@@ -109,9 +125,13 @@ def calibrate_rig(detections: Detections, model: str) -> StereoRig:
         solve_mono, solve_stereo = cv2.calibrateCamera, cv2.stereoCalibrate
         mono, stereo = kinds[model], kinds[model] | cv2.CALIB_USE_INTRINSIC_GUESS
     cameras: list[ndarray] = []
-    for px, is_seen, size_wh in zip((detections.left_px, detections.right_px), seen, sizes, strict=True):
+    starts: list[tuple[ndarray | None, ndarray | None]] = [(None, None)] * 2
+    if start is not None:
+        mono |= cv2.CALIB_USE_INTRINSIC_GUESS
+        starts = [(camera.K.copy(), camera.distortion.copy()) for camera in (start.left, start.right)]
+    for px, is_seen, size_wh, guess in zip((detections.left_px, detections.right_px), seen, sizes, starts, strict=True):
         points, (corners,) = _seen_corners(detections.object_points_m, is_seen, px)
-        _, K, coefficients, *_ = solve_mono(points, corners, size_wh, None, None, flags=mono)  # pyright: ignore
+        _, K, coefficients, *_ = solve_mono(points, corners, size_wh, *guess, flags=mono)  # pyright: ignore
         cameras += [K, coefficients]
     both = seen[0] & seen[1]
     points, (left, right) = _seen_corners(detections.object_points_m, both, detections.left_px, detections.right_px)

@@ -16,11 +16,18 @@ from binocal.simulation import RenderOptions, random_rig, render_image, sample_b
 
 
 def render_scene_pairs(
-    folder: Path, n_pairs: int, board_spec: str, size_wh: tuple[int, int], seed: int, *, rig: StereoRig | None = None
+    folder: Path,
+    n_pairs: int,
+    board_spec: str,
+    size_wh: tuple[int, int],
+    seed: int,
+    *,
+    rig: StereoRig | None = None,
+    options: RenderOptions | None = None,
 ) -> tuple[StereoRig, list[ImagePair]]:
     """``n_pairs`` pairs as left_000.png and right_000.png in a folder, and the rig that took them.
 
-    Blur 0.8 px, noise 3 grey levels. Without ``rig``, one of that image size is drawn.
+    Blur 0.8 px and noise 3 grey levels unless ``options`` say otherwise. Without ``rig``, one of that image size is drawn.
     """
     pose_seed, rig_seed, image_seed = np.random.SeedSequence(seed).spawn(3)
     board = parse_board(board_spec)
@@ -28,7 +35,7 @@ def render_scene_pairs(
         rig = random_rig(np.random.default_rng(rig_seed), model="brown5", size_wh=size_wh)
     T_left_board = sample_board_poses(rig, board, n_pairs, np.random.default_rng(pose_seed))
     sides = (("left", rig.left, T_left_board), ("right", rig.right, rig.T_right_left @ T_left_board))
-    options = RenderOptions(blur_px=0.8, noise_dn=3.0)
+    options = options or RenderOptions(blur_px=0.8, noise_dn=3.0)
     seeds = image_seed.spawn(2 * n_pairs)
 
     def render(job: tuple[int, int]) -> Path:

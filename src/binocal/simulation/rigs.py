@@ -42,11 +42,11 @@ def random_rig(
     inside the image.
 
     Raises:
-        ValueError: Unknown model, or a field outside 10-100° (Brown-Conrady) or 60-170° (fisheye4).
+        ValueError: Unknown model, or a field outside 10-100° (Brown-Conrady) or 60-200° (fisheye4).
         SceneError: No distortion without a fold was found (cannot happen within the limits on the field).
     """
     is_fisheye = camera_model(model).sees_behind
-    low, high = (60, 170) if is_fisheye else (10, 100)
+    low, high = (60, 200) if is_fisheye else (10, 100)
     field = field_deg if field_deg is not None else rng.uniform(*((100, 150) if is_fisheye else (35, 75)))
     if not low <= field <= high:
         raise ValueError(f"field_deg of a {model} camera must be within {low}-{high}; got {field}")

@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from binocal.benchmark.wide_lenses import LENSES
 from binocal.boards import parse_board
 from binocal.detection.finding.grid import grid_spacing
 from binocal.detection.finding.planes import fit_homography, grid_residuals
 from binocal.detection.finding.regularity import find_irregular, keep_regular
-from wide_lenses import LENSES, see_board
+from wide_lenses import see_board
 
 SIZE_WH = (800, 600)
 H = np.array([[60.0, 8, 120], [-5, 58, 90], [0.01, 0.02, 1]])

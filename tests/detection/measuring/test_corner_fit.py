@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from binocal.benchmark.wide_lenses import place_board, wide_camera
 from binocal.boards import parse_board
 from binocal.detection.finding.grid import grid_reach
 from binocal.detection.measuring.corner_fit import fit_corners
 from binocal.kernels.corner_fits import BoardPlaces
 from binocal.simulation import RenderOptions, render_image
-from wide_lenses import place_board, wide_camera
 
 SPEC = "chessboard:11x8:20mm"
 BIG = {"size_wh": (1280, 960), "distance": 1.3}
