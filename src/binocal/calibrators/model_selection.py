@@ -24,7 +24,6 @@ from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundlePro
 from binocal.solvers.covariance import inliers, shared_covariance
 from binocal.solvers.minimization import LoopOptions, minimize
 from binocal.solvers.principal_points import CentrePrior, has_centre_prior
-from binocal.solvers.whitening import corner_weights
 
 PLAIN = "brown4"
 STAGES = ((PLAIN, "brown5"), ("brown8",), ("fisheye4",))
@@ -262,15 +261,23 @@ _Fit = tuple[BundleProblem, BundleMinimum]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Base:
-    """What every model starts from: the views with the board as it was found to be, the weights' misfit, and a solution."""
+    """What every model starts from: the views with the board as it was found to be, the nominal problem of them, and a solution."""
 
     views: Detections
-    model: str
-    misfit_px: float | None
-    """None where all corners count alike."""
+    problem: BundleProblem
     estimate: BundleEstimate
-    is_long: bool = False
-    """Whether the views hardly tell the principal points (:mod:`binocal.solvers.principal_points`)."""
+
+    @property
+    def model(self) -> str:
+        """That of the solution."""
+        return self.problem.cameras[0].model.name
+
+    def problem_of(self, request: CalibrationRequest) -> BundleProblem:
+        """The problem of the request's model, in which each corner weighs what it does in the nominal one."""
+        problem = joint_problem(self.views, request)
+        cameras = zip(problem.cameras, self.problem.cameras, strict=True)
+        weighed = tuple(replace(c, whitening=b.whitening, lengths2=b.lengths2) for c, b in cameras)
+        return replace(problem, cameras=weighed)
 
 
 def _base(detections: Detections, request: CalibrationRequest) -> _Base:
@@ -286,8 +293,7 @@ def _base(detections: Detections, request: CalibrationRequest) -> _Base:
         solve = solve_as_they_were(nominal.problem, nominal.minimum, replace(request, exposure="together"))
         estimate = solve.minimum.estimate.bundle
         views = replace(views, object_points_m=np.ascontiguousarray(solve.minimum.estimate.points.T))
-    misfit_px = nominal.misfit_px if nominal.problem.is_whitened else None
-    return _Base(views, nominal.problem.cameras[0].model.name, misfit_px, estimate, has_centre_prior(nominal.problem))
+    return _Base(views, nominal.problem, estimate)
 
 
 def _diagnosed(views: Detections, request: CalibrationRequest) -> NominalSolve:
@@ -390,9 +396,8 @@ def _information_criterion(problem: BundleProblem, minimum: BundleMinimum) -> fl
 
 def _fit(base: _Base, request: CalibrationRequest) -> _Fit | str:
     """The minimum of one model from the base's solution, or why there is none."""
-    weights = None if base.misfit_px is None else corner_weights(base.views, base.misfit_px)
-    problem, options = joint_problem(base.views, request, weights), OPTIONS
-    if base.is_long:
+    problem, options = base.problem_of(request), OPTIONS
+    if has_centre_prior(base.problem):
         prior = CentrePrior((base.views.left_size_wh, base.views.right_size_wh))
         problem, options = replace(problem, terms=(*problem.terms, prior)), replace(OPTIONS, is_patient=True)
     start = base.estimate if request.model == base.model else _start(base, request)
