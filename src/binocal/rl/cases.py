@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy import ndarray
@@ -19,8 +19,9 @@ from binocal.rl.task import Judgement, TaskState
 C = TypeVar("C", bound="Cases")
 
 
+@runtime_checkable
 class Cases(Protocol):
-    """A batch of problems whose solution is known: a :class:`~binocal.rl.rig_batches.RigBatch` or :class:`~binocal.rl.match_batches.MatchBatch`."""
+    """A batch of problems whose solution is known: :mod:`binocal.rl.rig_batches`, :mod:`binocal.rl.match_batches`."""
 
     @property
     def problem(self) -> Any:

@@ -111,5 +111,5 @@ def _away(loop: EpipolarState) -> tuple[ndarray, ndarray]:
     return _log10(turn, LEAST_RAD), _log10(direction, LEAST_RAD)
 
 
-def _log10(values: ndarray, least: float) -> ndarray:
-    return np.log10(np.maximum(values, least))
+def _log10(values: ndarray | np.floating, least: float) -> ndarray:
+    return np.asarray(np.log10(np.maximum(values, least)))

@@ -17,7 +17,7 @@ from binocal.errors import FormatError
 from binocal.input_file import read_file
 from binocal.output import write_aside
 from binocal.rl.agent_kind import AgentKind
-from binocal.rl.task import TaskState, raised_damping
+from binocal.rl.task import TaskState, raised_damping, steering_action
 from binocal.rl.tasks import task_of
 from binocal.shapes import Float
 from binocal.solvers.loop_state import Action, LoopState, Memory
@@ -86,23 +86,17 @@ class LearnedController:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConstantController:
-    """The same action in every iteration, whatever the state; with two axes one action for each iteration, the last one stays."""
+    """The same steering action in every iteration, whatever the state."""
 
-    action: Float[ndarray, "*steps a"]
-    kind: AgentKind = AgentKind.DRL
+    action: Float[ndarray, "a"]
 
     def start(self, batch: tuple[int, ...]) -> Memory:
         """See the protocol."""
-        return {"n_steps": np.zeros(batch, dtype=int), "n_rejected": np.zeros(batch, dtype=int)}
+        return {"n_steps": np.zeros(batch, dtype=int)}
 
     def choose(self, problem: Any, state: LoopState[Any, Any, Any], memory: Memory) -> tuple[Action, Memory]:
         """See the protocol."""
-        n_steps, n_rejected = memory["n_steps"], np.where(state.is_kept, 0, memory["n_rejected"] + 1)
-        listed = self.action.reshape(-1, self.action.shape[-1])
-        wanted = listed[np.minimum(n_steps, len(listed) - 1)]
-        here = TaskState(state, wanted, n_steps, n_rejected)
-        memory = {"n_steps": n_steps + 1, "n_rejected": n_rejected}
-        return task_of(self.kind).solver_action(problem, here, wanted), memory
+        return steering_action(np.broadcast_to(self.action, (*state.mad_px.shape, len(self.action))), state), memory
 
 
 def load_policy(path: str | Path) -> Policy:

@@ -225,9 +225,7 @@ def remaining_sigma(rigs: RigBatch, loop: BundleState) -> Float[ndarray, "rigs"]
     return np.sqrt(2 * np.maximum(excess, 0.0)) / rigs.lowest.scale_px
 
 
-def judge(
-    rigs: RigBatch, before_sigma: Float[ndarray, "rigs"], state: TaskState, tolerance_sigma: float
-) -> Judgement:
+def judge(rigs: RigBatch, before_sigma: Float[ndarray, "rigs"], state: TaskState, tolerance_sigma: float) -> Judgement:
     """Of a step: :func:`binocal.rl.task.reward`, and arrival, which ends the episode."""
     sigma = remaining_sigma(rigs, state.loop)
     arrived = has_arrived(sigma, tolerance_sigma)

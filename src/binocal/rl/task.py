@@ -124,9 +124,7 @@ def sound_action(action: Float[ndarray, "*batch a"]) -> Float[ndarray, "*batch a
     return np.clip(np.where(np.isfinite(action), action, 0.0), -1.0, 1.0)
 
 
-def raised_damping(
-    damping: Float[ndarray, "*batch"], n_rejected: Int[ndarray, "*batch"]
-) -> Float[ndarray, "*batch"]:
+def raised_damping(damping: Float[ndarray, "*batch"], n_rejected: Int[ndarray, "*batch"]) -> Float[ndarray, "*batch"]:
     """Not learned: every rejection in a row raises the damping."""
     least = np.where(n_rejected > 0, LEAST_RAISED_DAMPING * RAISE ** (n_rejected - 1.0), 0.0)
     return np.maximum(damping, least)

@@ -243,9 +243,7 @@ class EpipolarProblem:
         """The estimate moved by a step."""
         return estimate.stepped(step.xi)
 
-    def shared_information(
-        self, estimate: RelativePose, equations: EpipolarEquations
-    ) -> Float[ndarray, "*batch 5 5"]:
+    def shared_information(self, estimate: RelativePose, equations: EpipolarEquations) -> Float[ndarray, "*batch 5 5"]:
         """Information of the unknowns for unit noise."""
         return equations.information
 
@@ -264,16 +262,18 @@ EpipolarState = LoopState[RelativePose, EpipolarEquations, EpipolarStep]
 
 
 def descend(
-    problem: EpipolarProblem, start: RelativePose, schedule_px: tuple[float, ...] = SCHEDULE_PX
+    problem: EpipolarProblem,
+    start: RelativePose,
+    schedule_px: tuple[float, ...] = SCHEDULE_PX,
+    *,
+    steps_each: int = STEPS_EACH,
 ) -> RelativePose:
     """The estimate after the kernel has closed in pixels (Geman & McClure 1985)."""
-    scales = tuple(scale for scale in schedule_px for _ in range(STEPS_EACH))
+    scales = tuple(scale for scale in schedule_px for _ in range(steps_each))
     return steer(problem, start, Marquardt(START_DAMPING, schedule=Schedule(scales)), len(scales))
 
 
-def steer(
-    problem: EpipolarProblem, start: RelativePose, controller: Controller, n_iterations: int
-) -> RelativePose:
+def steer(problem: EpipolarProblem, start: RelativePose, controller: Controller, n_iterations: int) -> RelativePose:
     """The estimate after iterations in which a controller chose scale, in pixels, and damping."""
     known = replace(problem, scale_px=1.0)
     state = begin(known, start, KERNEL, rules=CHOSEN_SCALE, scale_factor=START_SCALE_PX)
@@ -287,9 +287,7 @@ def finish(problem: EpipolarProblem, start: RelativePose) -> EpipolarMinimum:
     return minimize(part, start, LoopOptions("tukey", max_iterations=LAST_STEPS, tolerance_sigma=0.005))
 
 
-def cost_at(
-    problem: EpipolarProblem, estimate: RelativePose, scale_px: float = 1.0
-) -> Float[ndarray, "*batch"]:
+def cost_at(problem: EpipolarProblem, estimate: RelativePose, scale_px: float = 1.0) -> Float[ndarray, "*batch"]:
     """Geman and McClure's cost, by which starts compete, in squares of the scale."""
     costs = robust.costs(problem.residuals_px(estimate) ** 2, np.asarray(scale_px), KERNEL)
     counts = 1.0 if problem.counts is None else problem.counts
