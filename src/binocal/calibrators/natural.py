@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
+from binocal.calibrators.natural_starts import ClosedStart, closed_from_guesses, closed_from_old_rig, solves_of
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -28,8 +29,6 @@ from binocal.solvers.epipolar import (
     EpipolarProblem,
     Rays,
     RelativePose,
-    cost_at,
-    descend,
     finish,
     parallax_and_sides,
     tangents,
@@ -43,8 +42,6 @@ from binocal.solvers.epipolar_covariance import (
 
 MIN_MATCHES = 30
 MIN_RIGHT_SHARE = 0.15  # of the matches; unfiltered ones of self-similar scenes keep 0.2 and more
-OLD_RIG_TURN_DEG, OLD_RIG_DIRECTION_DEG = 5.5, 6.0
-"""Within which a result is taken for the same rig; a mount that moved by more has broken."""
 UNTOLD_TURN_DEG, UNTOLD_DIRECTION_DEG = 1.0, 12.0
 """Standard deviations above which a scene does not tell a direction of the pose."""
 ASSUMED_FOCAL_SHARE, ASSUMED_ASPECT_SHARE, ASSUMED_CENTRE_PX = 4e-4, 2e-4, 0.25
@@ -76,6 +73,8 @@ class NaturalRequest:
     """A first guess from matches alone (:mod:`binocal.matching.relative_pose`)."""
     seed: int = 0
     progress: ProgressCallback | None = None
+    calibrator: str = "drl"
+    """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_starts.solves_of`."""
 
 
 def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> StereoCalibration:
@@ -93,8 +92,8 @@ def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> St
         )
     matches = matches.select(has_rays)
     _refuse_whole_rows(matches)
-    start, name = _best_start(problem, matches, request)
-    minimum = finish(problem, start)
+    closed = _closed(problem, matches, request)
+    minimum = finish(problem, closed.estimate)
     estimate, noise_px = minimum.estimate, max(float(minimum.scale_px), NOISE_FLOOR_PX)
     estimate = _on_the_visible_side(problem, estimate, noise_px)
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
@@ -106,7 +105,7 @@ def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> St
         covariance[[3, 4], [3, 4]] += np.radians(90.0) ** 2
     estimate, covariance, kept = _with_untold_kept(problem, estimate, covariance, noise_px, request)
     findings += kept
-    return _calibration(matches, request, estimate, (covariance, random), (noise_px, name), tuple(findings))
+    return _calibration(matches, request, estimate, (covariance, random), (noise_px, closed), tuple(findings))
 
 
 def _refuse_whole_rows(matches: PointMatches) -> None:
@@ -134,32 +133,17 @@ def _pairs_apart(matches: PointMatches, is_right: Bool[ndarray, "n"]) -> list[Fi
     return found
 
 
-def _best_start(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> tuple[RelativePose, str]:
-    """Where the kernel closed from the best start, and which that was."""
-    starts: dict[str, RelativePose] = {}
+def _closed(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> ClosedStart:
+    """Where the kernel closed from the best start."""
+    found = request.guess(matches) if request.guess is not None else None
+    guess = None if found is None else RelativePose.of(found)
     if request.old is not None:
-        starts["old rig"] = RelativePose.of(request.old)
-    guess = request.guess(matches) if request.guess is not None else None
-    if guess is not None:
-        starts["matches"] = RelativePose.of(guess)
-    if request.old is None:
-        for name, t in (("side by side", [-1.0, 0.0, 0.0]), ("one above the other", [0.0, -1.0, 0.0])):
-            starts[name] = RelativePose(np.eye(3), np.array(t))
-    ends = {name: descend(problem, start) for name, start in starts.items()}
-    costs = {name: cost_at(problem, end) for name, end in ends.items()}
-    if request.old is not None:
-        old = starts["old rig"]
-        near = {name for name, end in ends.items() if _is_near(old, end)}
-        if near:
-            costs = {name: cost for name, cost in costs.items() if name in near}
-    best = min(costs, key=costs.__getitem__)
-    return ends[best], best
-
-
-def _is_near(old: RelativePose, new: RelativePose) -> bool:
-    turn_deg = float(np.degrees(so3.angle_rad(new.R @ old.R.T)))
-    direction_deg = float(np.degrees(np.arccos(np.clip(abs(old.t @ new.t), -1, 1))))
-    return turn_deg < OLD_RIG_TURN_DEG and direction_deg < OLD_RIG_DIRECTION_DEG
+        old, solves = RelativePose.of(request.old), solves_of(request.calibrator)
+        return closed_from_old_rig(problem, old, guess, solves, request.seed)
+    starts = {} if guess is None else {"matches": guess}
+    for name, t in (("side by side", [-1.0, 0.0, 0.0]), ("one above the other", [0.0, -1.0, 0.0])):
+        starts[name] = RelativePose(np.eye(3), np.array(t))
+    return closed_from_guesses(problem, starts)
 
 
 def _all_far(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> bool:
@@ -264,19 +248,12 @@ def _with_untold_kept(
         raise refusal(finding("scene-tells-too-little", **figures))
     old = RelativePose.of(request.old)
     told = unit[:, None] * vectors[:, ~untold]
-    away = np.r_[so3.log(old.R @ estimate.R.T), _turn_of_direction(estimate.t, old.t)] / unit
+    away = estimate.step_to(old) / unit
     current = _refined_along(problem, estimate.stepped(unit * (axes @ (axes.T @ away))), told, noise_px)
     moved = np.array(covariance)
     keep = (unit[:, None] * axes) @ np.diag(np.minimum(values[untold], 1.0)) @ (unit[:, None] * axes).T
     moved[:5, :5] = told @ np.diag(values[~untold]) @ told.T + keep
     return current, moved, [finding("scene-tells-too-little-kept", **figures)]
-
-
-def _turn_of_direction(start: Float[ndarray, "3"], end: Float[ndarray, "3"]) -> Float[ndarray, "2"]:
-    """The turn about the two tangents that takes one direction to the other."""
-    axis = np.cross(start, end)
-    length = float(np.linalg.norm(axis))
-    return tangents(start).T @ axis * (np.arctan2(length, float(start @ end)) / max(length, 1e-300))
 
 
 def _refined_along(
@@ -302,10 +279,10 @@ def _calibration(
     request: NaturalRequest,
     estimate: RelativePose,
     covariances: tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]],
-    known: tuple[float, str],
+    known: tuple[float, ClosedStart],
     findings: tuple[Finding, ...],
 ) -> StereoCalibration:
-    (noise_px, start), (covariance, random) = known, covariances
+    (noise_px, closed), (covariance, random) = known, covariances
     length = request.baseline_m if request.baseline_m is not None else 1.0
     rig = StereoRig(
         *request.cameras, SE3(so3.project_to_rotation(estimate.R), length * estimate.t), request.baseline_m is not None
@@ -342,7 +319,8 @@ def _calibration(
         findings=findings,
         provenance={
             "method": "natural images",
-            "start": start,
+            "start": closed.start,
+            "agent": dict(closed.led_by),
             "n_matches": len(matches),
             "n_right": int(is_right.sum()),
             "random_rotation_covariance_rad2": random[:3, :3].tolist(),
