@@ -113,7 +113,7 @@ class EpipolarEquations:
     jacobian: Float[ndarray, "*batch n 5"]
     weights: Float[ndarray, "*batch n"]
     cost_px2: Float[ndarray, "*batch"]
-    counts: Float[ndarray, "*some n"] | None = None
+    counts: Float[ndarray, "*batch n"] | None = None
 
     @property
     def r2_px2(self) -> tuple[Float[ndarray, "*batch n"], ...]:
@@ -220,7 +220,8 @@ class EpipolarProblem:
             ..., None, None
         ]
         jacobian = by_E.reshape(*by_E.shape[:-2], 9) @ _essential_derivatives(estimate)
-        unweighted = EpipolarEquations(s, jacobian, s, np.zeros(s.shape[:-1]), self.counts)
+        counts = None if self.counts is None else np.broadcast_to(self.counts, s.shape)
+        unweighted = EpipolarEquations(s, jacobian, s, np.zeros(s.shape[:-1]), counts)
         return unweighted.under(scale_px, kernel)
 
     def solve_step(

@@ -15,7 +15,7 @@ from numpy import ndarray
 from binocal.geometry import so3
 from binocal.shapes import Float, Int
 from binocal.solvers import robust
-from binocal.solvers.arrays import map_arrays
+from binocal.solvers.arrays import map_arrays, stack_rigs
 from binocal.solvers.controllers import Marquardt, Schedule
 from binocal.solvers.epipolar import (
     KERNEL,
@@ -110,9 +110,8 @@ def compete(
     """Every solve from the old rig, polished alike, and its cost; ``others`` are estimates from elsewhere that compete too."""
     ends = {name: steer(problem, old, led.controller, led.n_iterations) for name, led in solves.items()}
     ends |= others or {}
-    polished = [descend(problem, end, POLISH_PX) for end in ends.values()]
-    costs = [cost_beside(problem, end, old, turn_deg, direction_deg) for end in polished]
-    return Contest(tuple(ends), map_arrays(lambda *a: np.stack(a), *polished), np.stack(costs))
+    polished = descend(problem, stack_rigs(list(ends.values())), POLISH_PX)
+    return Contest(tuple(ends), polished, cost_beside(problem, polished, old, turn_deg, direction_deg))
 
 
 def cost_beside(
