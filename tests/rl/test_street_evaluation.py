@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocal.benchmark.streets import MAGSAC, compare_on_streets
+from binocal.benchmark.streets import compare_on_streets
 from binocal.rl import street_evaluation
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.evaluation import format_rows
@@ -13,13 +13,16 @@ from binocal.rl.match_batches import MATCH_SETS
 from binocal.rl.policy import shipped_policy
 from binocal.rl.street_evaluation import (
     AGENT,
+    ALL,
     BOTH,
     ITS_MEAN,
     ITS_STEPS,
+    MAGSAC,
     OTHERS,
     SCHEDULES,
     TRUTH,
     TUNED,
+    WITHOUT_AGENT,
     found_row,
     replayed,
     schedules,
@@ -54,7 +57,7 @@ def test_schedules_end_at_a_pixel_or_two():
 def test_all_controllers_have_a_row(monkeypatch):
     monkeypatch.setattr(street_evaluation, "TUNING_PROBLEMS", 8)
     rows, ms = compare_on_streets(n_problems=16, seed=0)
-    names = {AGENT, ITS_MEAN, ITS_STEPS, OTHERS, TUNED, SCHEDULES, BOTH, TRUTH, MAGSAC}
+    names = {AGENT, ITS_MEAN, ITS_STEPS, OTHERS, TUNED, SCHEDULES, BOTH, MAGSAC, WITHOUT_AGENT, ALL, TRUTH}
     for name in MATCH_SETS:
         of_set = {row.controller: row for row in rows if row.set_name == name}
         assert set(of_set) == names and all(row.n_rigs == 16 for row in of_set.values())

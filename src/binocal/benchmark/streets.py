@@ -13,7 +13,7 @@ from binocal.matching.relative_pose import estimate_relative_pose
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.epipolar_task import N_STEPS
 from binocal.rl.evaluation import format_rows
-from binocal.rl.match_batches import MATCH_SETS, has_found
+from binocal.rl.match_batches import MATCH_SETS
 from binocal.rl.policy import LearnedController, Policy, shipped_policy
 from binocal.rl.street_evaluation import AGENT, FoundRow, StreetCase, compare_on_matches, street_case
 from binocal.simulation.matches import sample_match_problems
@@ -21,7 +21,6 @@ from binocal.solvers.arrays import stack_rigs, take_rigs
 from binocal.solvers.epipolar import RelativePose, steer
 from binocal.solvers.portfolio import PORTFOLIO, Led
 
-MAGSAC = "MAGSAC, polished"
 N_TIMED = 50
 
 
@@ -34,8 +33,7 @@ def compare_on_streets(
     ms: dict[str, float] = {}
     for name in MATCH_SETS:
         case = street_case(name, n_problems, seed)
-        guess = _by_magsac(case, seed)
-        rows += compare_on_matches(case, policies, {MAGSAC: has_found(case.matches, guess)})
+        rows += compare_on_matches(case, policies, _by_magsac(case, seed))
         if name == "drift_hard":
             ms = _time(case, next(iter(policies.values())))
     return rows, ms

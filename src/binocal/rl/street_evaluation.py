@@ -19,7 +19,7 @@ from binocal.rl.match_batches import MATCH_SETS, MatchBatch, has_found, sample_m
 from binocal.rl.policy import Policy
 from binocal.shapes import Bool, Float
 from binocal.solvers.epipolar import EpipolarProblem, RelativePose, descend
-from binocal.solvers.portfolio import PORTFOLIO, Contest, compete
+from binocal.solvers.portfolio import PORTFOLIO, compete
 
 AGENT, ITS_MEAN, ITS_STEPS, OTHERS = (
     "agent, one solve",
@@ -27,7 +27,9 @@ AGENT, ITS_MEAN, ITS_STEPS, OTHERS = (
     "its mean action of each step",
     "its actions on another problem",
 )
-TUNED, SCHEDULES, BOTH, TRUTH = "best tuned schedule", "4 schedules", "agent and 4 schedules", "started at the truth"
+TUNED, SCHEDULES, BOTH = "best tuned schedule", "4 schedules", "agent and 4 schedules"
+MAGSAC, WITHOUT_AGENT, ALL = "MAGSAC, polished", "4 schedules and MAGSAC", "agent, 4 schedules and MAGSAC"
+TRUTH = "started at the truth"
 TUNING_PROBLEMS = 300
 FIRST_PX, RATIOS, STEPS_EACH = (4.0, 8.0, 16.0, 32.0, 64.0, 128.0), (2.0, 4.0), (1, 2, 4)
 """Scales of the schedules that are tried: the first, by what it falls, and iterations under each, down to a pixel."""
@@ -84,11 +86,11 @@ def street_case(name: str, n: int, seed: int) -> StreetCase:
 
 
 def compare_on_matches(
-    case: StreetCase, policies: Mapping[str, Policy], others: Mapping[str, Bool[ndarray, "cases"]] | None = None
+    case: StreetCase, policies: Mapping[str, Policy], guess: RelativePose | None = None
 ) -> list[FoundRow]:
     """Rows of the first policy and what it is compared with, then of the other policies.
 
-    ``others`` are shares found elsewhere, by what cannot be imported here.
+    ``guess`` is what consensus of minimal sets found in each problem, which is no matter of this package.
     """
     (_, first), *more = policies.items()
     matches, problem, start = case.matches, case.matches.problem, case.start
@@ -99,36 +101,33 @@ def compare_on_matches(
     mean = steps.mean(axis=0)
     shown = ", ".join(f"{name} {value:+.2f}" for name, value in zip(CHOSEN, mean, strict=True))
     schedule = tune_schedule(case)
-    contest = contest_of(case, end)
     ends: dict[str, tuple[RelativePose, str]] = {
         AGENT: (end, ""),
         ITS_MEAN: (replayed(problem, start, np.broadcast_to(mean, (N_STEPS, n, len(mean)))), shown),
         ITS_STEPS: (replayed(problem, start, np.repeat(steps[:, None], n, axis=1)), ""),
         OTHERS: (replayed(problem, start, np.roll(actions, 1, axis=1)), ""),
-        TUNED: (descend_once(problem, start, schedule), ", ".join(f"{scale:g}" for scale in schedule)),
-        SCHEDULES: (contest.of(tuple(PORTFOLIO)).estimate, ""),
-        BOTH: (contest.estimate, ""),
+        TUNED: (descend(problem, start, schedule, steps_each=1), ", ".join(f"{scale:g}" for scale in schedule)),
+        **{name: (estimate, "") for name, estimate in chosen_by_cost(case, end, guess).items()},
         TRUTH: (matches.truth, ""),
+        **{name: (solved_by(policy, problem, start)[0], "") for name, policy in more},
     }
-    ends |= {name: (solved_by(policy, problem, start)[0], "") for name, policy in more}
-    found = {name: has_found(matches, estimate) for name, (estimate, _) in ends.items()} | dict(others or {})
-    return [
-        found_row(case.name, name, ends[name][1] if name in ends else "", is_found, found[AGENT])
-        for name, is_found in found.items()
-    ]
+    found = {name: has_found(matches, estimate) for name, (estimate, _) in ends.items()}
+    return [found_row(case.name, name, ends[name][1], is_found, found[AGENT]) for name, is_found in found.items()]
 
 
-def contest_of(case: StreetCase, led: RelativePose) -> Contest:
-    """The portfolio from the old rigs, and where the agent led; its bounds are those of the set."""
+def chosen_by_cost(case: StreetCase, led: RelativePose, guess: RelativePose | None) -> dict[str, RelativePose]:
+    """What wins among the portfolio, where the agent led, and a guess, by the cost that the set's bounds allow."""
     turn_deg, direction_deg = case.matches.options.bounds_deg
-    return compete(
-        case.matches.problem,
-        case.start,
-        PORTFOLIO,
-        {AGENT: led},
-        turn_deg=turn_deg,
-        direction_deg=direction_deg,
-    )
+    problem, others = case.matches.problem, {AGENT: led}
+    if guess is not None:
+        others |= {MAGSAC: descend(problem, guess)}
+    contest = compete(problem, case.start, PORTFOLIO, others, turn_deg=turn_deg, direction_deg=direction_deg)
+    schedules = tuple(PORTFOLIO)
+    chosen = {SCHEDULES: contest.of(schedules), BOTH: contest.of((*schedules, AGENT))}
+    if guess is None:
+        return {name: one.estimate for name, one in chosen.items()}
+    chosen |= {WITHOUT_AGENT: contest.of((*schedules, MAGSAC)), ALL: contest}
+    return {MAGSAC: guess} | {name: one.estimate for name, one in chosen.items()}
 
 
 def found_row(
@@ -176,14 +175,10 @@ def schedules() -> Iterator[tuple[float, ...]]:
         yield tuple(first / ratio**k for k in range(n_scales) for _ in range(each))
 
 
-def descend_once(problem: EpipolarProblem, start: RelativePose, schedule_px: tuple[float, ...]) -> RelativePose:
-    """One iteration under each scale."""
-    return descend(problem, start, schedule_px, steps_each=1)
-
-
 def tune_schedule(case: StreetCase) -> tuple[float, ...]:
     """The schedule that finds most of the tuning problems."""
     batch = case.tuning
     return max(
-        schedules(), key=lambda scales: has_found(batch, descend_once(batch.problem, case.tuning_start, scales)).mean()
+        schedules(),
+        key=lambda scales: has_found(batch, descend(batch.problem, case.tuning_start, scales, steps_each=1)).mean(),
     )
