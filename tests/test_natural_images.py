@@ -16,6 +16,8 @@ from binocal.datasets import StereoPair
 from binocal.errors import DataError
 from binocal.formats import rig_json
 from binocal.geometry import SE3, so3
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.policy import save_policy, shipped_policy
 from streets import render
 
 SIZE = (480, 360)
@@ -66,6 +68,30 @@ def test_a_turned_rig_comes_back(folder, tmp_path, capsys):
     assert document["drift"]["pitch_deg"] == pytest.approx(-1.0, abs=0.05) and document["drift"]["has_drifted"]
     assert document["rows"]["best"]["median_px"] < 0.15 < document["rows"]["given"]["median_px"]
     assert document["provenance"]["length_from"] == "the old rig"
+
+
+def test_the_result_says_who_led(folder, tmp_path, capsys):
+    output = tmp_path / "new.json"
+    arguments = (*sources(folder), "--rig", folder / "turned.json", "--output", output, "--force")
+    rotations = []
+    for name, led_by in (("drl", "agent"), ("portfolio", "schedule 64 to 1"), ("lm", "schedule 64 to 1")):
+        assert run("recalibrate", *arguments, "--calibrator", name) == 0
+        assert f"Led by   {led_by}; " in capsys.readouterr().out
+        new = rig_json.read_calibration(output)
+        assert new.provenance["agent"]["won"] == led_by
+        rotations.append(new.rig.T_right_left.R)
+    np.testing.assert_allclose(rotations[1:], rotations[:1] * 2, atol=1e-5)
+
+
+def test_unknown_calibrators_and_weights_of_boards_are_named(folder, tmp_path, capsys):
+    arguments = (*sources(folder), "--rig", folder / "turned.json", "--output", tmp_path / "new.json")
+    assert run("recalibrate", *arguments, "--calibrator", "best") == 2
+    assert "known: drl, portfolio, lm" in " ".join(capsys.readouterr().err.split())
+    boards = tmp_path / "boards.safetensors"
+    save_policy(shipped_policy(AgentKind.DRL), boards)
+    assert run("recalibrate", *arguments, "--calibrator", boards) == 3
+    assert "which sees boards" in capsys.readouterr().err
+    assert not (tmp_path / "new.json").exists()
 
 
 def test_without_an_old_pose_and_with_a_baseline(folder, tmp_path):

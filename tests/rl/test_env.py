@@ -34,8 +34,13 @@ def make_vec(num_envs: int = 6, **options):
     return gymnasium.make_vec(ENV_ID, num_envs=num_envs, **{**FEW, **options})
 
 
-@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
-@pytest.mark.parametrize("rig_set", ["standard", "stress"])
+@pytest.mark.parametrize(
+    ("rig_set", "kind"),
+    [
+        *((rig_set, kind) for rig_set in ("standard", "stress") for kind in (AgentKind.DRL, AgentKind.DRL_INCREMENTS)),
+        ("drift_hard", AgentKind.DRL_STREETS),
+    ],
+)
 def test_gymnasium_finds_nothing_to_warn_of(rig_set, kind):
     check_env(make(rig_set=rig_set, kind=kind).unwrapped)
 
@@ -73,6 +78,21 @@ def test_spaces_are_named_and_finite():
     assert env.observation_names == observation_names(AgentKind.DRL)
     assert env.observation_space.shape == (len(env.observation_names),) and env.action_space.shape == (6,)
     assert env.observation_space.is_bounded() and env.observation_space.dtype == env.action_space.dtype == np.float32
+
+
+def test_episodes_on_streets_end_after_twelve_steps_alone_and_together():
+    options = {"kind": "drl-streets", "rig_set": "drift_easy"}
+    env, envs = make(**options), make_vec(3, **options)
+    (seen, _), (all_seen, _) = env.reset(seed=5), envs.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for step in range(12):
+        np.testing.assert_allclose(seen, all_seen[0], atol=1e-4)
+        actions = rng.uniform(-1, 1, (3, 2)).astype(np.float32)
+        seen, reward, is_terminal, *_ = env.step(actions[0])
+        all_seen, rewards, *_ = envs.step(actions)
+        assert reward == pytest.approx(rewards[0], abs=1e-4) and is_terminal == (step == 11)
+    with pytest.raises(ValueError, match="drift_hard"):
+        make(kind="drl-streets", rig_set="stress")
 
 
 def test_observations_stay_in_their_space_whatever_is_done():

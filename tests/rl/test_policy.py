@@ -11,6 +11,7 @@ from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import ConstantController, LearnedController, Policy, load_policy, save_policy, shipped_policy
 from binocal.rl.rig_batches import RIG_SETS, sample_rigs, sample_starts
 from binocal.rl.task import KERNEL, observation_names
+from binocal.rl.tasks import task_of
 from binocal.solvers.loop import advance, begin
 
 
@@ -79,12 +80,12 @@ def test_a_wrong_file_is_named(tmp_path, damage):
         load_policy(path)
 
 
-@pytest.mark.parametrize("kind", [AgentKind.DRL, AgentKind.DRL_INCREMENTS])
+@pytest.mark.parametrize("kind", list(AgentKind))
 def test_shipped_weights_fit_and_are_small(kind):
     from importlib import resources
 
     policy = shipped_policy(kind)
-    assert policy.kind == kind and len(policy.mean) == len(observation_names(kind))
+    assert policy.kind == kind and len(policy.mean) == len(task_of(kind).observation_names)
     assert policy.card["command"].startswith("binocal train") and policy.card["seed"] >= 0
     folder = resources.files("binocal.rl") / "weights"
     assert sum(len(file.read_bytes()) for file in folder.iterdir() if file.name.endswith("safetensors")) < 200_000

@@ -73,6 +73,8 @@ class NaturalOptions:
     seed: int = 0
     progress: ProgressCallback | None = None
     should_stop: ShouldStop | None = None
+    calibrator: str = "drl"
+    """See :func:`binocal.calibrators.natural_starts.solves_of`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +155,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         source.intrinsics,
         lambda found: estimate_relative_pose(cameras, found.left_px, found.right_px),
         options.seed,
+        calibrator=options.calibrator,
     )
     calibration = calibrate_from_matches(matches, request)
     calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))

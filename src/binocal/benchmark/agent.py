@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from binocal.benchmark.streets import streets_document
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import StereoRig
@@ -56,6 +57,7 @@ def run_agent_benchmark(*, n_rigs: int = 1000, seed: int = 0) -> dict[str, Any]:
         chosen = {best: tuned[best], CORRECTED: tuned[CORRECTED], AGENT: tuned[AGENT]}
         times.append({"set": name, "best_classical": best} | _time_solves(name, chosen, seed))
     stress = count_wrong_minima(N_STRESS, seed)
+    streets = streets_document(n_rigs, seed)
     joint = [_compare_joint(share, seed) for share in JOINT_OUTLIER_SHARES]
     return {
         "benchmark": "agent",
@@ -65,7 +67,17 @@ def run_agent_benchmark(*, n_rigs: int = 1000, seed: int = 0) -> dict[str, Any]:
         "times": times,
         "joint": joint,
         "stress": stress,
-        "text": f"{format_rows(rows)}\n\n{_format_times(times)}\n\n{_format_joint(joint)}\n\n{_format_stress(stress)}",
+        "streets": {key: value for key, value in streets.items() if key != "text"},
+        "text": "\n\n".join(
+            (
+                format_rows(rows),
+                _format_times(times),
+                _format_joint(joint),
+                _format_stress(stress),
+                "Streets: share of problems found\n",
+                streets["text"],
+            )
+        ),
     }
 
 

@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest, Calibrator
 from binocal.calibrators.joint import calibrate_jointly
+from binocal.errors import FormatError
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 from binocal.rl.agent_kind import AgentKind
@@ -41,7 +42,10 @@ def calibrator_of_weights(path: str | Path) -> Calibrator:
     Raises:
         FormatError: The file cannot be read, or fits another version.
     """
-    return partial(calibrate_with_policy, policy=load_policy(path))
+    policy = load_policy(path)
+    if policy.kind == AgentKind.DRL_STREETS:
+        raise FormatError(path, f"weights of {policy.kind}, which sees no board; they are for `binocal recalibrate`.")
+    return partial(calibrate_with_policy, policy=policy)
 
 
 def calibrate_with_policy(evidence: Detections, request: CalibrationRequest, policy: Policy) -> StereoCalibration:

@@ -25,6 +25,7 @@ from binocal.calibrators.natural_checks import (
     refuse_whole_rows,
     refuse_wrong,
 )
+from binocal.calibrators.natural_starts import ClosedStart, closed_from_guesses, closed_from_old_rig, solves_of
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -40,8 +41,6 @@ from binocal.solvers.epipolar import (
     EpipolarProblem,
     Rays,
     RelativePose,
-    cost_at,
-    descend,
     finish,
     parallax_and_sides,
     tangents,
@@ -55,10 +54,6 @@ from binocal.solvers.epipolar_covariance import (
 )
 from binocal.solvers.epipolar_diagnosis import clearest_ask
 
-OLD_RIG_TURN_DEG, OLD_RIG_DIRECTION_DEG = 5.5, 6.0
-"""Within which a result is taken for the same rig; a mount that moved by more has broken."""
-FAR_FITS, NEAR_SHARE = 0.6, 0.7
-"""A pose far from the old rig that explains so much of all matches is the images', where the best near it explains so much less."""
 UNTOLD_TURN_DEG, UNTOLD_DIRECTION_DEG = 1.0, 12.0
 """Standard deviations above which a scene does not tell a direction of the pose."""
 ASSUMED_FOCAL_SHARE, ASSUMED_ASPECT_SHARE, ASSUMED_CENTRE_PX = 4e-4, 2e-4, 0.25
@@ -89,6 +84,8 @@ class NaturalRequest:
     """A first guess from matches alone (:mod:`binocal.matching.relative_pose`)."""
     seed: int = 0
     progress: ProgressCallback | None = None
+    calibrator: str = "drl"
+    """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_starts.solves_of`."""
 
 
 def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> StereoCalibration:
@@ -116,7 +113,7 @@ class _Solved:
     estimate: RelativePose
     equations: EpipolarEquations
     noise_px: float
-    start: str
+    start: ClosedStart
 
     @property
     def is_right(self) -> Bool[ndarray, "n"]:
@@ -133,13 +130,13 @@ def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
         raise refusal(finding("matches-too-few", n_matches=n_seen, n_pairs=matches.n_pairs, n_needed=MIN_MATCHES))
     matches = matches.select(has_rays)
     refuse_whole_rows(matches)
-    start, name = _best_start(problem, matches, request)
-    minimum = finish(problem, start)
+    closed = _closed(problem, matches, request)
+    minimum = finish(problem, closed.estimate)
     noise_px = max(float(minimum.scale_px), NOISE_FLOOR_PX)
     estimate = _on_the_visible_side(problem, minimum.estimate, noise_px, request.old)
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
     refuse_rectified(problem, matches, request.old, noise_px)
-    solved = _Solved(problem, matches, estimate, equations, noise_px, name)
+    solved = _Solved(problem, matches, estimate, equations, noise_px, closed)
     refuse_wrong(matches, solved.is_right, noise_px)
     return solved
 
@@ -176,34 +173,17 @@ def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarra
     return slopes_by_intrinsics(of_other_cameras, cameras, solved.estimate, sigma, len(matches))
 
 
-def _best_start(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> tuple[RelativePose, str]:
-    """Where the kernel closed from the best start, and which that was."""
-    starts: dict[str, RelativePose] = {}
+def _closed(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> ClosedStart:
+    """Where the kernel closed from the best start."""
+    found = request.guess(matches) if request.guess is not None else None
+    guess = None if found is None else RelativePose.of(found)
     if request.old is not None:
-        starts["old rig"] = RelativePose.of(request.old)
-    guess = request.guess(matches) if request.guess is not None else None
-    if guess is not None:
-        starts["matches"] = RelativePose.of(guess)
-    if request.old is None:
-        for name, t in (("side by side", [-1.0, 0.0, 0.0]), ("one above the other", [0.0, -1.0, 0.0])):
-            starts[name] = RelativePose(np.eye(3), np.array(t))
-    ends = {name: descend(problem, start) for name, start in starts.items()}
-    costs = {name: cost_at(problem, end) for name, end in ends.items()}
-    if request.old is not None:
-        old = starts["old rig"]
-        near = {name: costs[name] for name, end in ends.items() if _is_near(old, end)}
-        n_matches = len(problem.left.directions)
-        fits, fits_near = (n_matches - min(values.values(), default=n_matches) for values in (costs, near))
-        if near and not (fits > FAR_FITS * n_matches and fits_near < NEAR_SHARE * fits):
-            costs = near
-    best = min(costs, key=costs.__getitem__)
-    return ends[best], best
-
-
-def _is_near(old: RelativePose, new: RelativePose) -> bool:
-    turn_deg = float(np.degrees(so3.angle_rad(new.R @ old.R.T)))
-    direction_deg = float(np.degrees(np.arccos(np.clip(abs(old.t @ new.t), -1, 1))))
-    return turn_deg < OLD_RIG_TURN_DEG and direction_deg < OLD_RIG_DIRECTION_DEG
+        old, solves = RelativePose.of(request.old), solves_of(request.calibrator)
+        return closed_from_old_rig(problem, old, guess, solves, request.seed)
+    starts = {} if guess is None else {"matches": guess}
+    for name, t in (("side by side", [-1.0, 0.0, 0.0]), ("one above the other", [0.0, -1.0, 0.0])):
+        starts[name] = RelativePose(np.eye(3), np.array(t))
+    return closed_from_guesses(problem, starts)
 
 
 def _all_far(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> bool:
@@ -301,19 +281,12 @@ def _with_untold_kept(
         raise refusal(finding("scene-tells-too-little", **figures))
     old = RelativePose.of(request.old)
     told = unit[:, None] * vectors[:, ~untold]
-    away = np.r_[so3.log(old.R @ estimate.R.T), _turn_of_direction(estimate.t, old.t)] / unit
+    away = estimate.step_to(old) / unit
     current = _refined_along(problem, estimate.stepped(unit * (axes @ (axes.T @ away))), told, noise_px)
     moved = np.array(covariance)
     keep = (unit[:, None] * axes) @ np.diag(np.minimum(values[untold], 1.0)) @ (unit[:, None] * axes).T
     moved[:5, :5] = told @ np.diag(values[~untold]) @ told.T + keep
     return current, moved, [finding("scene-tells-too-little-kept", **figures)]
-
-
-def _turn_of_direction(start: Float[ndarray, "3"], end: Float[ndarray, "3"]) -> Float[ndarray, "2"]:
-    """The turn about the two tangents that takes one direction to the other."""
-    axis = np.cross(start, end)
-    length = float(np.linalg.norm(axis))
-    return tangents(start).T @ axis * (np.arctan2(length, float(start @ end)) / max(length, 1e-300))
 
 
 def _refined_along(
@@ -339,10 +312,10 @@ def _calibration(
     request: NaturalRequest,
     estimate: RelativePose,
     covariances: tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]],
-    known: tuple[float, str],
+    known: tuple[float, ClosedStart],
     findings: tuple[Finding, ...],
 ) -> StereoCalibration:
-    (noise_px, start), (covariance, random) = known, covariances
+    (noise_px, closed), (covariance, random) = known, covariances
     length = request.baseline_m if request.baseline_m is not None else 1.0
     rig = StereoRig(
         *request.cameras, SE3(so3.project_to_rotation(estimate.R), length * estimate.t), request.baseline_m is not None
@@ -379,7 +352,8 @@ def _calibration(
         findings=findings,
         provenance={
             "method": "natural images",
-            "start": start,
+            "start": closed.start,
+            "agent": dict(closed.led_by),
             "n_matches": len(matches),
             "n_right": int(is_right.sum()),
             "random_rotation_covariance_rad2": random[:3, :3].tolist(),

@@ -57,6 +57,9 @@ def recalibrate_text(run: NaturalRun, output: Any, kept: str = "") -> str:
     lines.append(
         f"Towards  ({t[0]:+.5f}, {t[1]:+.5f}, {t[2]:+.5f}), length from {calibration.provenance['length_from']}"
     )
+    led = calibration.provenance["agent"]
+    if "agreeing" in led:
+        lines.append(f"Led by   {led['won']}; {led['agreeing']} of {len(led['costs'])} solves ended there")
     lines += _common_lines(run)
     lines.append(f"Wrote    {output}{kept}")
     return "\n".join(lines)

@@ -173,14 +173,9 @@ def training_text(trained: TrainedAgent) -> str:
     head = ("steps", "critic loss", "value / return", "target lag", "held-out iterations", "arrived, %")
     lines += [format_table(head, rows), ""]
     if run.rows:
-        evaluated = [
-            (row.set_name, row.controller, f"{row.mean:.2f}", f"{row.p95:.0f}", f"{100 * row.arrived:.1f} %")
-            for row in run.rows
-        ]
-        lines += [
-            format_table(("set", "controller", "mean iterations", "95 %", "arrived"), evaluated, align="llrrr"),
-            "",
-        ]
+        evaluated = [row.cells[:-1] for row in run.rows]  # without settings, which are long
+        header = run.rows[0].HEADER[:-1]
+        lines += [format_table(header, evaluated, align="ll".ljust(len(header), "r")), ""]
     if trained.test_half is not None:
         rig = trained.test_half.rig
         lines += [

@@ -435,6 +435,14 @@ def recalibrate(
             "--baseline", help="Distance of the cameras, such as 120mm; default: the old rig's.", metavar="LENGTH"
         ),
     ] = None,
+    calibrator: Annotated[
+        str,
+        typer.Option(
+            "--calibrator",
+            help="From the old rig: drl (agent and schedules), portfolio (schedules), lm (one schedule), or weights.",
+            metavar="NAME",
+        ),
+    ] = "drl",
     reference: Annotated[
         bool,
         typer.Option("--reference", help="Write the rig as given, with this result as what `check` compares with."),
@@ -453,12 +461,15 @@ def recalibrate(
     from binocal.output import check_output
 
     length_m = _parse_length(baseline)
+    _check_natural_calibrator(calibrator)
     check_output(output, force=force)
     given, source = _natural_source(left, right, dataset, rig)
     if reference and given is None:
         raise typer.BadParameter("--reference keeps the rig as given: give --rig with a rig.json.")
     with progress_on_terminal() as progress:
-        options = natural.NaturalOptions(start is Starts.rig, length_m, max_pairs or natural.MAX_PAIRS, seed, progress)
+        options = natural.NaturalOptions(
+            start is Starts.rig, length_m, max_pairs or natural.MAX_PAIRS, seed, progress, calibrator=calibrator
+        )
         run = natural.recalibrate(source, options)
     written = natural.with_reference(given, run) if reference and given is not None else run.calibration
     rig_json.write_calibration(output, written, force=force)
@@ -589,7 +600,12 @@ def train(
         Path, typer.Option("--output", help="Folder for checkpoints, weights, card.", metavar="DIR")
     ] = Path("binocal-agent"),
     agent: Annotated[
-        str, typer.Option("--agent", help="drl steers the solver, drl-increments changes R, T itself.", metavar="NAME")
+        str,
+        typer.Option(
+            "--agent",
+            help="drl steers the solver, drl-increments changes R, T itself, drl-streets steers `recalibrate`.",
+            metavar="NAME",
+        ),
     ] = "drl",
     targets: Annotated[
         str,
@@ -645,7 +661,7 @@ def train(
     if data is None and board is not None:
         raise typer.BadParameter("--board is that of the images in --data DIR; simulated rigs have theirs.")
     options = verbs.TrainRequest(
-        _one_of("--agent", agent, ("drl", "drl-increments")),
+        _one_of("--agent", agent, ("drl", "drl-increments", "drl-streets")),
         _one_of("--targets", targets, ("soft", "hard")),
         steps,
         seconds,
@@ -811,6 +827,17 @@ def _check_calibrator(name: str) -> None:
 
     try:
         load_calibrator(name)  # weights are read before any image is
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _check_natural_calibrator(name: str) -> None:
+    from binocal.calibrators.natural_starts import NATURAL_CALIBRATORS, solves_of
+
+    if name in NATURAL_CALIBRATORS:
+        return
+    try:
+        solves_of(name)  # weights are read before any image is
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
 

@@ -18,7 +18,10 @@ log damping of the board poses                        as damping, 1e-2 × (10^5a
 With ``kind="drl-increments"`` the change of R, T itself (three numbers of rotation, three of translation), whitened by the
 rig's information; 1 is 1.5 times the length of the Gauss-Newton step.
 
-**Observation**, Box of float32: the scale-free numbers that :func:`binocal.rl.task.observation_names` names with their units, each
+With ``kind="drl-streets"`` episodes are solves from matches of natural images (``rig_set="drift_hard"``, say): the kernel's scale in pixels
+and the damping (:mod:`binocal.rl.epipolar_task`), twelve steps an episode; reward and termination are those of its ``judge``.
+
+**Observation**, Box of float32: the numbers that :func:`binocal.rl.task.observation_names` names with their units, each
 cut to ±10 (actions and directions to ±1). **Reward**: :func:`binocal.rl.task.reward`. **Termination**: within ``tolerance_sigma`` of the robust
 optimum. **Truncation**: 25 steps, unless ``max_episode_steps`` says otherwise (it is Gymnasium's ``TimeLimit`` that counts the
 single form's). **Info**: ``distance_sigma`` (Mahalanobis distance of R and T to the optimum), ``n_steps``, ``is_kept`` (whether
@@ -45,18 +48,12 @@ from gymnasium.vector.utils import batch_space
 from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
+from binocal.rl.cases import Cases, cases_of
+from binocal.rl.match_batches import FOUND_SIGMA, MATCH_SETS, sample_matches
 from binocal.rl.registration import MAX_STEPS
-from binocal.rl.rig_batches import RIG_SETS, RigBatch, distance_sigma, sample_rigs, sample_starts
-from binocal.rl.task import (
-    TaskState,
-    has_arrived,
-    initial,
-    n_actions,
-    observation,
-    observation_names,
-    reward,
-    transition,
-)
+from binocal.rl.rig_batches import RIG_SETS, sample_rigs
+from binocal.rl.task import TaskState
+from binocal.rl.tasks import task_of
 from binocal.shapes import Bool, Float, Float32, Int
 from binocal.solvers.arrays import join_rigs, replace_rigs
 
@@ -80,11 +77,12 @@ class EnvOptions:
     pool_seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.rig_set not in RIG_SETS:
-            raise ValueError(f"rig_set must be one of {', '.join(RIG_SETS)}; got {self.rig_set!r}")
         if self.kind not in tuple(AgentKind):
             raise ValueError(f"kind must be {' or '.join(AgentKind)}; got {self.kind!r}")
         object.__setattr__(self, "kind", AgentKind(self.kind))
+        known = MATCH_SETS if self.kind == AgentKind.DRL_STREETS else RIG_SETS
+        if self.rig_set not in known:
+            raise ValueError(f"rig_set must be one of {', '.join(known)} for {self.kind}; got {self.rig_set!r}")
         if self.pool_size < 1:
             raise ValueError(f"pool_size must be 1 or more; got {self.pool_size}")
         if self.tolerance_sigma is not None and not self.tolerance_sigma > 0:
@@ -95,16 +93,18 @@ class EnvOptions:
         """The distance that ends an episode."""
         if self.tolerance_sigma is not None:
             return self.tolerance_sigma
+        if self.kind == AgentKind.DRL_STREETS:
+            return FOUND_SIGMA
         return TOLERANCES_SIGMA.get(self.rig_set, TOLERANCE_SIGMA)
 
-    def pool(self) -> RigBatch:
+    def pool(self) -> Cases:
         """The rigs, drawn on the first call; some 10 ms each."""
-        return _pool(self.rig_set, self.pool_size, self.pool_seed)
+        return _pool(self.kind, self.rig_set, self.pool_size, self.pool_seed)
 
     @property
     def observation_limits(self) -> Float[ndarray, "o"]:
         """What the numbers of an observation are cut to, plus and minus."""
-        names = observation_names(self.kind)
+        names = task_of(self.kind).observation_names
         is_unit = [name.startswith(("last ", "Gauss-Newton step, ")) for name in names]
         return np.where(is_unit, 1.0, OBSERVED_LIMIT)
 
@@ -115,7 +115,7 @@ class EnvOptions:
 
     def action_space(self) -> Box:
         """What one rig's action may be."""
-        return Box(-1.0, 1.0, (n_actions(self.kind),), dtype=np.float32)
+        return Box(-1.0, 1.0, (len(task_of(self.kind).action_names),), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,39 +123,38 @@ class Batch:
     """Episodes under way: the rigs' places in the pool, the rigs, where their solves stand, and how far off they are."""
 
     rig: Int[ndarray, "n"]
-    rigs: RigBatch
+    rigs: Any
     state: TaskState
     sigma: Float[ndarray, "n"]
 
 
 def begin_episodes(options: EnvOptions, generators: Sequence[np.random.Generator]) -> Batch:
     """One new episode for each generator; what it draws depends on that generator alone."""
-    pool = options.pool()
+    pool, cases = options.pool(), cases_of(options.kind)
     rig, starts = [], []
     for rng in generators:
         rig.append(int(rng.integers(pool.n_rigs)))
-        starts.append(sample_starts(pool.select(np.array(rig[-1:])), rng))
+        starts.append(cases.sample_starts(pool.select(np.array(rig[-1:])), rng))
     rigs = pool.select(np.array(rig))
-    state = initial(rigs.problem, join_rigs(starts), options.kind)
-    return Batch(np.array(rig), rigs, state, distance_sigma(rigs, state.loop.estimate))
+    state = task_of(options.kind).initial(rigs.problem, join_rigs(starts))
+    return Batch(np.array(rig), rigs, state, cases.remaining_sigma(rigs, state.loop))
 
 
 def advance_episodes(
     options: EnvOptions, before: Batch, action: Float[ndarray, "n a"]
 ) -> tuple[Batch, Float[ndarray, "n"], Bool[ndarray, "n"]]:
-    """One step of every episode: what follows, the rewards, and which arrived."""
-    problem = before.rigs.problem
-    state = transition(problem, before.state, np.asarray(action, dtype=np.float64), options.kind)
-    sigma = distance_sigma(before.rigs, state.loop.estimate)
-    tolerance = options.arrival_sigma
-    after = Batch(before.rig, before.rigs, state, sigma)
-    return after, reward(before.sigma, sigma, tolerance), has_arrived(sigma, tolerance)
+    """One step of every episode: what follows, the rewards, and which ended."""
+    wanted = np.asarray(action, dtype=np.float64)
+    state = task_of(options.kind).transition(before.rigs.problem, before.state, wanted)
+    judged = cases_of(options.kind).judge(before.rigs, before.sigma, state, options.arrival_sigma)
+    return Batch(before.rig, before.rigs, state, judged.sigma), judged.reward, judged.is_terminal
 
 
 def observed(options: EnvOptions, batch: Batch) -> Float32[ndarray, "n o"]:
     """The observations, cut to the space."""
     limit = options.observation_limits
-    return np.clip(observation(batch.rigs.problem, batch.state, options.kind), -limit, limit).astype(np.float32)
+    seen = task_of(options.kind).observation(batch.rigs.problem, batch.state)
+    return np.clip(seen, -limit, limit).astype(np.float32)
 
 
 class StereoExtrinsicsEnv(gymnasium.Env[ndarray, ndarray]):
@@ -170,7 +169,7 @@ class StereoExtrinsicsEnv(gymnasium.Env[ndarray, ndarray]):
         """Takes the fields of :class:`EnvOptions` as keywords. There is nothing to render."""
         self.options = EnvOptions(**options)
         self.render_mode = render_mode
-        self.observation_names = observation_names(self.options.kind)
+        self.observation_names = task_of(self.options.kind).observation_names
         self.observation_space, self.action_space = self.options.observation_space(), self.options.action_space()
         self._batch: Batch | None = None
 
@@ -221,7 +220,7 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
         self.options, self.num_envs, self.max_episode_steps = EnvOptions(**options), num_envs, max_episode_steps
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "autoreset_mode": mode}
-        self.observation_names = observation_names(self.options.kind)
+        self.observation_names = task_of(self.options.kind).observation_names
         self.single_observation_space = self.options.observation_space()
         self.single_action_space = self.options.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -299,7 +298,9 @@ class StereoExtrinsicsVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
 
 
 @lru_cache(maxsize=8)  # environments of a synchronous vector share theirs
-def _pool(rig_set: str, size: int, seed: int) -> RigBatch:
+def _pool(kind: AgentKind, rig_set: str, size: int, seed: int) -> Cases:
+    if kind == AgentKind.DRL_STREETS:
+        return sample_matches(MATCH_SETS[rig_set], size, np.random.default_rng(seed))
     return sample_rigs(RIG_SETS[rig_set], size, np.random.default_rng(seed))
 
 

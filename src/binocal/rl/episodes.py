@@ -1,26 +1,20 @@
-"""Episodes of a batch of rigs, from their starts to arrival or to the last step."""
+"""Episodes of a batch of rigs or sets of matches, from their starts to arrival or to the last step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.rl.agent_kind import AgentKind
+from binocal.rl.cases import Cases, cases_of
 from binocal.rl.registration import MAX_STEPS
-from binocal.rl.rig_batches import RigBatch, remaining_sigma
-from binocal.rl.task import (
-    has_arrived,
-    initial,
-    observation,
-    reward,
-    transition,
-)
+from binocal.rl.tasks import task_of
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.arrays import take_rigs
-from binocal.solvers.board_views import BundleEstimate
 
 COMPACTION_SHARE = 0.8  # a batch is packed when fewer of its rigs than this still run
 
@@ -42,7 +36,7 @@ class Transitions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpisodeOutcome:
-    """How the episodes ended. Rigs that did not arrive count ``MAX_STEPS`` iterations; ``total_reward`` is discounted."""
+    """How the episodes ended. Rigs that did not arrive count ``failed_steps`` of their kind; ``total_reward`` is discounted."""
 
     n_iterations: Int[ndarray, "rigs"]
     has_arrived: Bool[ndarray, "rigs"]
@@ -50,8 +44,8 @@ class EpisodeOutcome:
 
 
 def run_episodes(
-    rigs: RigBatch,
-    start: BundleEstimate,
+    rigs: Cases,
+    start: Any,
     policy: ActionFunction,
     kind: AgentKind,
     *,
@@ -60,39 +54,39 @@ def run_episodes(
     discount: float = 1.0,
     on_step: Callable[[Transitions], None] | None = None,
 ) -> EpisodeOutcome:
-    """Runs every case once. Rigs that arrived leave the batch."""
-    n_iterations = np.full(rigs.n_rigs, MAX_STEPS)
-    arrived = np.zeros(rigs.n_rigs, dtype=bool)
+    """Runs every case once: rigs, or sets of matches, of a batch. Those whose episode ended leave the batch."""
+    task, cases = task_of(kind), cases_of(kind)
+    n_iterations = np.full(rigs.n_rigs, cases.failed_steps)
+    arrived, ended = np.zeros(rigs.n_rigs, dtype=bool), np.zeros(rigs.n_rigs, dtype=bool)
     total = np.zeros(rigs.n_rigs)
     rig = np.arange(rigs.n_rigs)
     running = rigs
-    state = initial(running.problem, start, kind)
-    seen = observation(running.problem, state, kind)
-    sigma = remaining_sigma(running, state.loop)
+    state = task.initial(running.problem, start)
+    seen = task.observation(running.problem, state)
+    sigma = cases.remaining_sigma(running, state.loop)
     for step in range(max_steps):
         action = policy(seen)
-        state = transition(running.problem, state, action, kind)
-        following = observation(running.problem, state, kind)
-        after = remaining_sigma(running, state.loop)
-        is_terminal = has_arrived(after, tolerance_sigma)
-        earned = reward(sigma, after, tolerance_sigma)
-        is_live = ~arrived[rig]
-        total[rig[is_live]] += discount**step * earned[is_live]
+        state = task.transition(running.problem, state, action)
+        following = task.observation(running.problem, state)
+        judged = cases.judge(running, sigma, state, tolerance_sigma)
+        is_live = ~ended[rig]
+        total[rig[is_live]] += discount**step * judged.reward[is_live]
         if on_step is not None:
             on_step(
                 Transitions(
                     rig[is_live],
                     seen[is_live],
                     action[is_live],
-                    earned[is_live],
+                    judged.reward[is_live],
                     following[is_live],
-                    is_terminal[is_live],
+                    judged.is_terminal[is_live],
                 )
             )
-        new = rig[is_live & is_terminal]
+        new = rig[is_live & judged.has_arrived]
         n_iterations[new], arrived[new] = step + 1, True
-        seen, sigma = following, after
-        is_live = ~arrived[rig]
+        ended[rig[is_live & judged.is_terminal]] = True
+        seen, sigma = following, judged.sigma
+        is_live = ~ended[rig]
         if not is_live.any():
             break
         if is_live.mean() < COMPACTION_SHARE:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy import ndarray
@@ -17,6 +18,7 @@ from binocal.rl.agent_kind import AgentKind
 from binocal.rl.policy import Policy
 from binocal.rl.registration import MAX_STEPS
 from binocal.rl.rig_batches import RIG_SETS, RigBatch, remaining_sigma, sample_rigs, sample_starts
+from binocal.rl.street_evaluation import FoundRow
 from binocal.rl.task import KERNEL, n_actions
 from binocal.shapes import Bool, Float, Int
 from binocal.solvers.arrays import take_rigs
@@ -117,6 +119,8 @@ def tune_classical(
 class Row:
     """One controller on one set: iterations of all rigs (failures count ``MAX_STEPS``), and the share that arrived."""
 
+    HEADER: ClassVar[tuple[str, ...]] = ("set", "controller", "mean iterations", "95 %", "arrived", "settings")
+
     set_name: str
     controller: str
     settings: str
@@ -125,6 +129,18 @@ class Row:
     standard_error: float
     p95: float
     arrived: float
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row as text."""
+        return (
+            self.set_name,
+            self.controller,
+            f"{self.mean:.2f} ± {self.standard_error:.2f}",
+            f"{self.p95:.0f}",
+            f"{100 * self.arrived:.1f} %",
+            self.settings,
+        )
 
 
 def row_of(set_name: str, controller: str, settings: str, outcome: SolveOutcome) -> Row:
@@ -204,12 +220,8 @@ def compare_on(
     ]
 
 
-def format_rows(rows: Sequence[Row]) -> str:
-    """The rows as a Markdown table, one block for each set."""
-    lines = ["| set | controller | mean iterations | 95 % | arrived | settings |", "|---|---|---|---|---|---|"]
-    lines += [
-        f"| {r.set_name} | {r.controller} | {r.mean:.2f} ± {r.standard_error:.2f} | {r.p95:.0f} | "
-        f"{100 * r.arrived:.1f} % | {r.settings} |"
-        for r in rows
-    ]
-    return "\n".join(lines)
+def format_rows(rows: Sequence[Row] | Sequence[FoundRow]) -> str:
+    """The rows as a Markdown table."""
+    header = rows[0].HEADER
+    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
+    return "\n".join([*lines, *(f"| {' | '.join(row.cells)} |" for row in rows)])

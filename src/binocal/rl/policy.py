@@ -17,21 +17,17 @@ from binocal.errors import FormatError
 from binocal.input_file import read_file
 from binocal.output import write_aside
 from binocal.rl.agent_kind import AgentKind
-from binocal.rl.task import (
-    TaskState,
-    increment_action,
-    n_actions,
-    observation,
-    observation_names,
-    steering_action,
-)
+from binocal.rl.task import TaskState, raised_damping, steering_action
+from binocal.rl.tasks import task_of
 from binocal.shapes import Float
-from binocal.solvers.board_views import BundleProblem, BundleState
-from binocal.solvers.loop_state import Action, Memory
+from binocal.solvers.loop_state import Action, LoopState, Memory
 
-SHIPPED = {AgentKind.DRL: "drl.safetensors", AgentKind.DRL_INCREMENTS: "drl_increments.safetensors"}
-MOST_BYTES = 64 << 20  # the shipped weights have 60 kB
-LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps
+SHIPPED = {
+    AgentKind.DRL: "drl.safetensors",
+    AgentKind.DRL_INCREMENTS: "drl_increments.safetensors",
+    AgentKind.DRL_STREETS: "drl_streets.safetensors",
+}
+MOST_BYTES = 64 << 20  # the shipped weights have 90 kB
 OBSERVATION_LIMIT = 5.0  # in units of the spread, as in training
 
 
@@ -67,25 +63,24 @@ class LearnedController:
     def start(self, batch: tuple[int, ...]) -> Memory:
         """See the protocol."""
         return {
-            "last_action": np.zeros((*batch, n_actions(self.policy.kind))),
+            "last_action": np.zeros((*batch, len(task_of(self.policy.kind).action_names))),
             "n_steps": np.zeros(batch, dtype=int),
             "n_rejected": np.zeros(batch, dtype=int),
         }
 
-    def choose(self, problem: BundleProblem, state: BundleState, memory: Memory) -> tuple[Action, Memory]:
+    def choose(self, problem: Any, state: LoopState[Any, Any, Any], memory: Memory) -> tuple[Action, Memory]:
         """See the protocol. Where the policy's numbers are not finite, neither is the damping, and the guards take over."""
-        kind = self.policy.kind
-        seen = observation(problem, TaskState(state, memory["last_action"], memory["n_steps"]), kind)
-        raw = self.policy(seen)
+        task = task_of(self.policy.kind)
         n_rejected = np.where(state.is_kept, 0, memory["n_rejected"] + 1)
+        here = TaskState(state, memory["last_action"], memory["n_steps"], n_rejected)
+        raw = self.policy(task.observation(problem, here))
         is_sound = np.asarray(np.isfinite(raw).all(axis=-1))
-        action = steering_action(raw, state) if kind == AgentKind.DRL else increment_action(problem, state, raw)
+        action = task.solver_action(problem, here, raw)
         if not is_sound.all():
             action = replace(action, damping=np.where(is_sound, action.damping, np.nan))
             raw = np.where(is_sound[..., None], raw, 0.0)
-        if n_rejected.any():  # not learned: every rejection in a row raises the damping
-            least = np.where(n_rejected > 0, LEAST_RAISED_DAMPING * RAISE ** (n_rejected - 1.0), 0.0)
-            action = replace(action, damping=np.maximum(action.damping, least))
+        if n_rejected.any():
+            action = replace(action, damping=raised_damping(action.damping, n_rejected))
         return action, {"last_action": raw, "n_steps": memory["n_steps"] + 1, "n_rejected": n_rejected}
 
 
@@ -99,7 +94,7 @@ class ConstantController:
         """See the protocol."""
         return {"n_steps": np.zeros(batch, dtype=int)}
 
-    def choose(self, problem: BundleProblem, state: BundleState, memory: Memory) -> tuple[Action, Memory]:
+    def choose(self, problem: Any, state: LoopState[Any, Any, Any], memory: Memory) -> tuple[Action, Memory]:
         """See the protocol."""
         return steering_action(np.broadcast_to(self.action, (*state.mad_px.shape, len(self.action))), state), memory
 
@@ -139,7 +134,8 @@ def load_policy(path: str | Path) -> Policy:
 
 def _fit(policy: Policy) -> bool:
     """Whether the shapes are those of this version's observation and actions."""
-    n_observed = len(observation_names(policy.kind))
+    task = task_of(policy.kind)
+    n_observed = len(task.observation_names)
     if not policy.layers or policy.mean.shape != (n_observed,) or policy.spread.shape != (n_observed,):
         return False
     n_in = n_observed
@@ -147,7 +143,7 @@ def _fit(policy: Policy) -> bool:
         if weight.ndim != 2 or weight.shape[1] != n_in or bias.shape != weight.shape[:1]:
             return False
         n_in = len(weight)
-    return n_in == n_actions(policy.kind)
+    return n_in == len(task.action_names)
 
 
 def save_policy(policy: Policy, path: str | Path) -> None:

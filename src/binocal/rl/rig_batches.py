@@ -14,6 +14,7 @@ from numpy import ndarray
 from binocal.boards import parse_board
 from binocal.cameras import camera_model
 from binocal.geometry import SE3, so3
+from binocal.rl.task import Judgement, TaskState, has_arrived, reward
 from binocal.shapes import Float
 from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses
 from binocal.solvers.arrays import SHARED, stack_rigs, take_rigs
@@ -222,6 +223,13 @@ def remaining_sigma(rigs: RigBatch, loop: BundleState) -> Float[ndarray, "rigs"]
         return distance_sigma(rigs, loop.estimate)
     excess = loop.equations.cost_under(rigs.lowest.scale_px, "hampel") - rigs.lowest.cost_px2
     return np.sqrt(2 * np.maximum(excess, 0.0)) / rigs.lowest.scale_px
+
+
+def judge(rigs: RigBatch, before_sigma: Float[ndarray, "rigs"], state: TaskState, tolerance_sigma: float) -> Judgement:
+    """Of a step: :func:`binocal.rl.task.reward`, and arrival, which ends the episode."""
+    sigma = remaining_sigma(rigs, state.loop)
+    arrived = has_arrived(sigma, tolerance_sigma)
+    return Judgement(sigma, reward(before_sigma, sigma, tolerance_sigma), arrived, arrived)
 
 
 def _directions(n: int, rng: np.random.Generator) -> Float[ndarray, "n 3"]:

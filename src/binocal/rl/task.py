@@ -8,6 +8,7 @@ is decided by an :class:`~binocal.rl.agent_kind.AgentKind`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -45,14 +46,42 @@ STEP_COST = 1.0
 PROGRESS_REWARD = 0.3  # for a decade
 MAX_DISTANCE_DECADES = 8.0
 
+LEAST_RAISED_DAMPING, RAISE = 1e-3, 30.0  # of the damping after rejected steps
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskState:
-    """A batch of episodes. ``last_action`` is the one before this state; ``n_steps`` counts candidates."""
+    """A batch of episodes, of this task or of :mod:`binocal.rl.epipolar_task`.
 
-    loop: BundleState
+    ``last_action`` is the one before this state; ``n_steps`` counts candidates, ``n_rejected`` those that were rejected in a row.
+    """
+
+    loop: Any
     last_action: Float[ndarray, "*batch a"]
     n_steps: Int[ndarray, "*batch"]
+    n_rejected: Int[ndarray, "*batch"]
+
+    @staticmethod
+    def at_start(loop: Any, n_actions: int) -> TaskState:
+        """Before the first step of a loop."""
+        batch = loop.mad_px.shape
+        nothing = np.zeros(batch, dtype=int)
+        return TaskState(loop, np.zeros((*batch, n_actions)), nothing, nothing)
+
+    def following(self, loop: Any, action: Float[ndarray, "*batch a"]) -> TaskState:
+        """After a step that an action led to."""
+        n_rejected = np.where(loop.is_kept, 0, self.n_rejected + 1)
+        return TaskState(loop, action, self.n_steps + 1, n_rejected)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """What a step was worth: the distance after it in standard deviations, the reward, whether the episode ended, and well."""
+
+    sigma: Float[ndarray, "n"]
+    reward: Float[ndarray, "n"]
+    is_terminal: Bool[ndarray, "n"]
+    has_arrived: Bool[ndarray, "n"]
 
 
 def n_actions(kind: AgentKind) -> int:
@@ -69,9 +98,7 @@ def observation_names(kind: AgentKind) -> tuple[str, ...]:
 
 def initial(problem: BundleProblem, start: BundleEstimate, kind: AgentKind) -> TaskState:
     """The first state of an episode for each rig."""
-    loop = begin(problem, start, KERNEL)
-    batch = loop.mad_px.shape
-    return TaskState(loop, np.zeros((*batch, n_actions(kind))), np.zeros(batch, dtype=int))
+    return TaskState.at_start(begin(problem, start, KERNEL), n_actions(kind))
 
 
 def observation(problem: BundleProblem, state: TaskState, kind: AgentKind) -> Float[ndarray, "*batch o"]:
@@ -87,11 +114,25 @@ def transition(
     problem: BundleProblem, state: TaskState, action: Float[ndarray, "*batch a"], kind: AgentKind
 ) -> TaskState:
     """The state after an action; the given state is not altered. A number that is not finite counts as 0."""
-    action = np.clip(np.where(np.isfinite(action), action, 0.0), -1.0, 1.0)
-    decoded = (
-        steering_action(action, state.loop) if kind == AgentKind.DRL else increment_action(problem, state.loop, action)
-    )
-    return TaskState(advance(problem, state.loop, decoded, KERNEL), action, state.n_steps + 1)
+    action = sound_action(action)
+    loop = advance(problem, state.loop, solver_action(problem, state, action, kind), KERNEL)
+    return state.following(loop, action)
+
+
+def sound_action(action: Float[ndarray, "*batch a"]) -> Float[ndarray, "*batch a"]:
+    """Cut to [-1, 1]; 0 for what is not finite."""
+    return np.clip(np.where(np.isfinite(action), action, 0.0), -1.0, 1.0)
+
+
+def raised_damping(damping: Float[ndarray, "*batch"], n_rejected: Int[ndarray, "*batch"]) -> Float[ndarray, "*batch"]:
+    """Not learned: every rejection in a row raises the damping."""
+    least = np.where(n_rejected > 0, LEAST_RAISED_DAMPING * RAISE ** (n_rejected - 1.0), 0.0)
+    return np.maximum(damping, least)
+
+
+def solver_action(problem: BundleProblem, state: TaskState, a: Float[ndarray, "*batch 6"], kind: AgentKind) -> Action:
+    """What an action asks of the solver."""
+    return steering_action(a, state.loop) if kind == AgentKind.DRL else increment_action(problem, state.loop, a)
 
 
 def steering_action(a: Float[ndarray, "*batch 6"], loop: BundleState) -> Action:

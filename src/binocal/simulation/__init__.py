@@ -17,6 +17,14 @@ from binocal.simulation.corruptions import (
     zero_view,
 )
 from binocal.simulation.layout import printed_extent_m
+from binocal.simulation.match_drawing import WRONG_KINDS
+from binocal.simulation.matches import (
+    MatchDistribution,
+    MatchProblems,
+    SimulatedMatches,
+    sample_match_problems,
+    simulate_matches,
+)
 from binocal.simulation.noise import add_outliers, drop_corners, simulate_detections
 from binocal.simulation.pairs import render_pairs
 from binocal.simulation.renderer import RenderedImage, RenderOptions, render_image, render_light
@@ -32,9 +40,13 @@ from binocal.simulation.scenes import (
 from binocal.simulation.visibility import visible_px
 
 __all__ = [
+    "WRONG_KINDS",
+    "MatchDistribution",
+    "MatchProblems",
     "PoseOptions",
     "RenderOptions",
     "RenderedImage",
+    "SimulatedMatches",
     "StereoScene",
     "add_outliers",
     "drop_corners",
@@ -54,10 +66,12 @@ __all__ = [
     "repeat_view",
     "same_pose",
     "sample_board_poses",
+    "sample_match_problems",
     "sample_scene",
     "shift_all_pairs",
     "shift_view_by_row",
     "simulate_detections",
+    "simulate_matches",
     "state_image_size",
     "swap_cameras",
     "swap_image_size",

@@ -22,9 +22,15 @@ from binocal.evidence.point_matches import PointMatches
 from binocal.geometry import SE3, so3
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
-from binocal.solvers.minimization import LoopOptions, Minimum, minimize
+from binocal.solvers.chosen_scale import CHOSEN_SCALE, Counted
+from binocal.solvers.controllers import Marquardt, Schedule
+from binocal.solvers.loop import begin, run
+from binocal.solvers.loop_state import Controller, LoopState
+from binocal.solvers.minimization import START_DAMPING, LoopOptions, Minimum, minimize
 
 SCHEDULE_PX = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
+KERNEL = "geman"
+START_SCALE_PX = 16.0  # that a controller sees the start under
 STEPS_EACH = 2
 LAST_STEPS = 20
 NOISE_FLOOR_PX = 0.02  # no window is matched better; keeps matches on whole rows from passing for exact
@@ -36,8 +42,8 @@ NEAR_PX = 4.0  # beyond it nothing carries weight at the end; the median is then
 class Rays:
     """Unit rays of one camera's points, and their derivatives by the pixels."""
 
-    directions: Float[ndarray, "n 3"]
-    by_pixel: Float[ndarray, "n 3 2"]
+    directions: Float[ndarray, "*batch n 3"]
+    by_pixel: Float[ndarray, "*batch n 3 2"]
 
     @staticmethod
     def of_points(camera: Camera, points_px: Float[ndarray, "n 2"]) -> Rays:
@@ -62,73 +68,96 @@ class Rays:
 class RelativePose:
     """Rotation and unit translation: p_right = R p_left + length t."""
 
-    R: Float[ndarray, "3 3"]
-    t: Float[ndarray, "3"]
+    R: Float[ndarray, "*batch 3 3"]
+    t: Float[ndarray, "*batch 3"]
 
     @property
     def batch(self) -> tuple[int, ...]:
-        """No batch."""
-        return ()
+        """The batch's dimensions."""
+        return self.t.shape[:-1]
 
     @staticmethod
     def of(T_right_left: SE3) -> RelativePose:
         """Without the length of the translation."""
-        return RelativePose(T_right_left.R, T_right_left.t / np.linalg.norm(T_right_left.t))
+        t = T_right_left.t
+        return RelativePose(T_right_left.R, t / np.linalg.norm(t, axis=-1, keepdims=True))
 
-    def stepped(self, xi: Float[ndarray, "5"]) -> RelativePose:
+    def stepped(self, xi: Float[ndarray, "*batch 5"]) -> RelativePose:
         """Turned from the left by the first three; the direction of t along the last two of :func:`tangents`."""
-        turn = so3.exp(tangents(self.t) @ xi[3:])
-        t = turn @ self.t
-        return RelativePose(so3.exp(xi[:3]) @ self.R, t / np.linalg.norm(t))
+        turn = so3.exp((tangents(self.t) @ xi[..., 3:, None])[..., 0])
+        t = (turn @ self.t[..., None])[..., 0]
+        return RelativePose(so3.exp(xi[..., :3]) @ self.R, t / np.linalg.norm(t, axis=-1, keepdims=True))
+
+    def step_to(self, other: RelativePose) -> Float[ndarray, "*batch 5"]:
+        """What :meth:`stepped` would take to arrive at another pose, whichever way its translation points."""
+        sign = np.where(np.sum(self.t * other.t, axis=-1, keepdims=True) < 0, -1.0, 1.0)
+        axis = np.cross(self.t, sign * other.t)
+        length = np.linalg.norm(axis, axis=-1, keepdims=True)
+        angle = np.arctan2(length, np.abs(np.sum(self.t * other.t, axis=-1, keepdims=True)))
+        turn = (tangents(self.t).swapaxes(-1, -2) @ axis[..., None])[..., 0] * angle / np.maximum(length, 1e-300)
+        return np.concatenate([so3.log(other.R @ self.R.swapaxes(-1, -2)), turn], axis=-1)
 
 
-def tangents(t: Float[ndarray, "3"]) -> Float[ndarray, "3 2"]:
+def tangents(t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 2"]:
     """Two axes about which a turn moves a direction, at right angles to it and to each other."""
-    first = np.cross(t, np.eye(3)[int(np.argmin(np.abs(t)))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(t, first)], axis=1)
+    first = np.cross(t, np.eye(3)[np.argmin(np.abs(t), axis=-1)])
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(t, first)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpipolarEquations:
     """Residuals, weights and normal equations (see :class:`binocal.solvers.problem.Equations`)."""
 
-    residuals_px: Float[ndarray, "n"]
-    jacobian: Float[ndarray, "n 5"]
-    weights: Float[ndarray, "n"]
+    residuals_px: Float[ndarray, "*batch n"]
+    jacobian: Float[ndarray, "*batch n 5"]
+    weights: Float[ndarray, "*batch n"]
     cost_px2: Float[ndarray, "*batch"]
+    counts: Float[ndarray, "*batch n"] | None = None
 
     @property
-    def r2_px2(self) -> tuple[Float[ndarray, "n"], ...]:
+    def r2_px2(self) -> tuple[Float[ndarray, "*batch n"], ...]:
         """Squared residuals."""
         return (self.residuals_px**2,)
 
+    def under(self, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> EpipolarEquations:
+        """The same residuals with the weights and cost of a kernel."""
+        r2, scale = self.residuals_px**2, np.asarray(scale_px)[..., None]
+        weights, costs = robust.weights(r2, scale, kernel), robust.costs(r2, scale, kernel)
+        if self.counts is not None:
+            weights, costs = self.counts * weights, self.counts * costs
+        return replace(self, weights=weights, cost_px2=np.asarray(costs.sum(axis=-1)))
+
     def cost_under(self, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> Float[ndarray, "*batch"]:
         """Robust cost of the same residuals under another scale of the kernel."""
-        return np.asarray(robust.costs(self.residuals_px**2, scale_px, kernel).sum())
+        costs = robust.costs(self.residuals_px**2, np.asarray(scale_px)[..., None], kernel)
+        return np.asarray((costs if self.counts is None else self.counts * costs).sum(axis=-1))
 
     @property
-    def information(self) -> Float[ndarray, "5 5"]:
+    def information(self) -> Float[ndarray, "*batch 5 5"]:
         """Of the unknowns, for unit noise, by the kernel's weights."""
-        return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
+        return self.jacobian.swapaxes(-1, -2) @ (self.weights[..., None] * self.jacobian)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpipolarStep:
     """A step of the unknowns, and the fall of the cost that it predicts."""
 
-    xi: Float[ndarray, "5"]
+    xi: Float[ndarray, "*batch 5"]
     predicted_px2: Float[ndarray, "*batch"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpipolarProblem:
-    """Matches of a pair of cameras (:class:`binocal.solvers.problem.Problem`). ``scale_px``: the noise to assume; None: measured."""
+    """Matches of a pair of cameras, or a batch of such sets (:class:`binocal.solvers.problem.Problem`).
+
+    One set may be asked for a batch of estimates. ``scale_px``: the noise to assume; None: measured.
+    """
 
     left: Rays
     right: Rays
-    counts: Float[ndarray, "n"] | None = None
-    """How often each match counts; None: once."""
+    counts: Float[ndarray, "*batch n"] | None = None
+    """How often each match counts, 0 for those that fill up the shorter sets of a batch; None: once."""
     scale_px: float | None = None
 
     @staticmethod
@@ -138,98 +167,118 @@ class EpipolarProblem:
         is_seen = left.is_finite & right.is_finite
         return EpipolarProblem(left.select(is_seen), right.select(is_seen)), is_seen
 
+    def n_matches(self, batch: tuple[int, ...]) -> Float[ndarray, "*batch"]:
+        """How many matches there are, for each of a batch of estimates."""
+        n = float(self.left.directions.shape[-2]) if self.counts is None else self.counts.sum(axis=-1)
+        return np.broadcast_to(np.asarray(n), batch)
+
     def select(self, index: ndarray) -> EpipolarProblem:
-        """Some of the matches."""
+        """Some of the matches of one set."""
         counts = None if self.counts is None else self.counts[index]
         return replace(self, left=self.left.select(index), right=self.right.select(index), counts=counts)
 
-    def residuals_px(self, estimate: RelativePose) -> Float[ndarray, "n"]:
+    def residuals_px(self, estimate: RelativePose) -> Float[ndarray, "*batch n"]:
         """Signed Sampson distances."""
-        value, length, _, _ = self._terms(so3.hat(estimate.t) @ estimate.R)
+        value, length, *_ = self._terms(so3.hat(estimate.t) @ estimate.R)
         return value / length
 
-    def _terms(self, E: Float[ndarray, "3 3"]):  # type: ignore[no-untyped-def]
+    def _terms(self, E: Float[ndarray, "*batch 3 3"]):  # type: ignore[no-untyped-def]
         """x_rᵀ E x_l, the length of its gradient by the pixels, and the gradients."""
         x, y = self.left.directions, self.right.directions
-        plane, back = x @ E.T, y @ E
-        value = np.einsum("ni,ni->n", y, plane)
-        by_left = np.einsum("ni,nik->nk", back, self.left.by_pixel)
-        by_right = np.einsum("ni,nik->nk", plane, self.right.by_pixel)
-        length = np.sqrt(np.maximum(np.sum(by_left**2, axis=1) + np.sum(by_right**2, axis=1), 1e-300))
-        return value, length, by_left, by_right
+        plane, back = x @ E.swapaxes(-1, -2), y @ E
+        value = np.einsum("...i,...i->...", y, plane)
+        by_left = np.einsum("...i,...ik->...k", back, self.left.by_pixel)
+        by_right = np.einsum("...i,...ik->...k", plane, self.right.by_pixel)
+        squared = np.einsum("...k,...k->...", by_left, by_left) + np.einsum("...k,...k->...", by_right, by_right)
+        return value, np.sqrt(np.maximum(squared, 1e-300)), by_left, by_right
 
-    def residual_lengths2(self, estimate: RelativePose) -> tuple[Float[ndarray, "n"], ...]:
+    def residual_lengths2(self, estimate: RelativePose) -> tuple[Float[ndarray, "*batch n"], ...]:
         """Squared residuals."""
         return (self.residuals_px(estimate) ** 2,)
 
     def noise_estimate_px(self, r2_px2: tuple[ndarray, ...]) -> Float[ndarray, "*batch"]:
         """The noise to assume, or the median absolute residual as a standard deviation, floored."""
         if self.scale_px is not None:
-            return np.asarray(self.scale_px)
-        return np.asarray(max(MAD_TO_SIGMA * float(np.sqrt(np.median(r2_px2[0]))), NOISE_FLOOR_PX))
+            return np.full(r2_px2[0].shape[:-1], self.scale_px)
+        r2 = r2_px2[0] if self.counts is None else np.where(self.counts > 0, r2_px2[0], np.nan)
+        return np.asarray(np.maximum(MAD_TO_SIGMA * np.sqrt(np.nanmedian(r2, axis=-1)), NOISE_FLOOR_PX))
 
     def linearize(
         self, estimate: RelativePose, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel
     ) -> EpipolarEquations:
-        """Residuals, their derivatives by the five unknowns, and the kernel's weights."""
-        E = so3.hat(estimate.t) @ estimate.R
-        value, length, by_left, by_right = self._terms(E)
+        """Residuals, their derivatives by the five unknowns, and the kernel's weights.
+
+        The derivative by the unknowns is that by the nine elements of E times theirs.
+        """
+        value, length, by_left, by_right = self._terms(so3.hat(estimate.t) @ estimate.R)
         s = value / length
-        columns = []
-        basis = tangents(estimate.t)
         x, y = self.left.directions, self.right.directions
-        for turned in (
-            *(so3.hat(estimate.t) @ so3.hat(axis) @ estimate.R for axis in np.eye(3)),
-            *(so3.hat(np.cross(axis, estimate.t)) @ estimate.R for axis in basis.T),
-        ):
-            plane, back = x @ turned.T, y @ turned
-            d_value = np.einsum("ni,ni->n", y, plane)
-            d_left = np.einsum("ni,nik->nk", back, self.left.by_pixel)
-            d_right = np.einsum("ni,nik->nk", plane, self.right.by_pixel)
-            d_length = (np.sum(by_left * d_left, axis=1) + np.sum(by_right * d_right, axis=1)) / length
-            columns.append((d_value - s * d_length) / length)
-        counts = 1.0 if self.counts is None else self.counts
-        weights = counts * robust.weights(s**2, scale_px, kernel)
-        cost = np.sum(counts * robust.costs(s**2, scale_px, kernel))
-        return EpipolarEquations(s, np.stack(columns, axis=1), weights, np.asarray(cost))
+        # ds = (y' dE x - s dlength) / length, length dlength = by_left . (y' dE dx) + by_right . (dy' dE x)
+        across = x - np.einsum("...ik,...k->...i", self.left.by_pixel, by_left * (s / length)[..., None])
+        along = np.einsum("...ik,...k->...i", self.right.by_pixel, by_right * (s / length)[..., None])
+        by_E = (y[..., :, None] * across[..., None, :] - along[..., :, None] * x[..., None, :]) / length[
+            ..., None, None
+        ]
+        jacobian = by_E.reshape(*by_E.shape[:-2], 9) @ _essential_derivatives(estimate)
+        counts = None if self.counts is None else np.broadcast_to(self.counts, s.shape)
+        unweighted = EpipolarEquations(s, jacobian, s, np.zeros(s.shape[:-1]), counts)
+        return unweighted.under(scale_px, kernel)
 
     def solve_step(
         self, estimate: RelativePose, equations: EpipolarEquations, damping: Float[ndarray, "*batch"]
     ) -> EpipolarStep:
-        """Levenberg-Marquardt step with Marquardt's scaling."""
+        """Levenberg-Marquardt step with Marquardt's scaling; NaN where the equations are not finite."""
         H = equations.information
-        g = -equations.jacobian.T @ (equations.weights * equations.residuals_px)
-        size = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-        A = H / np.outer(size, size) + (float(damping) + 1e-12) * np.eye(5)
-        try:
-            xi = np.linalg.solve(A, g / size) / size
-        except np.linalg.LinAlgError:
-            return EpipolarStep(np.full(5, np.nan), np.asarray(np.nan))
-        fall = xi @ g - 0.5 * xi @ H @ xi
+        g = -np.einsum("...nk,...n->...k", equations.jacobian, equations.weights * equations.residuals_px)
+        size = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
+        A = H / (size[..., :, None] * size[..., None, :])
+        A = A + (np.asarray(damping) + 1e-12)[..., None, None] * np.eye(5)
+        is_sound = np.isfinite(A).all(axis=(-1, -2)) & np.isfinite(g).all(axis=-1)
+        A = np.where(is_sound[..., None, None], A, np.eye(5))
+        xi = np.linalg.solve(A, (g / size)[..., None])[..., 0] / size
+        xi = np.where(is_sound[..., None], xi, np.nan)
+        fall = np.einsum("...i,...i->...", xi, g) - 0.5 * np.einsum("...i,...ij,...j->...", xi, H, xi)
         return EpipolarStep(xi, np.asarray(fall))
 
     def retract(self, estimate: RelativePose, step: EpipolarStep) -> RelativePose:
         """The estimate moved by a step."""
         return estimate.stepped(step.xi)
 
-    def shared_information(self, estimate: RelativePose, equations: EpipolarEquations) -> Float[ndarray, "5 5"]:
+    def shared_information(self, estimate: RelativePose, equations: EpipolarEquations) -> Float[ndarray, "*batch 5 5"]:
         """Information of the unknowns for unit noise."""
         return equations.information
 
 
+def _essential_derivatives(estimate: RelativePose) -> Float[ndarray, "*batch 9 5"]:
+    """Derivatives of the elements of E, row by row, by the five unknowns of :meth:`RelativePose.stepped`."""
+    across, R = so3.hat(estimate.t)[..., None, :, :], estimate.R[..., None, :, :]
+    by_rotation = across @ so3.hat(np.eye(3)) @ R
+    moved = np.cross(tangents(estimate.t).swapaxes(-1, -2), estimate.t[..., None, :])
+    both = np.concatenate([by_rotation, so3.hat(moved) @ R], axis=-3)
+    return both.reshape(*both.shape[:-2], 9).swapaxes(-1, -2)
+
+
 EpipolarMinimum = Minimum[RelativePose, EpipolarEquations]
+EpipolarState = LoopState[RelativePose, EpipolarEquations, EpipolarStep]
 
 
 def descend(
-    problem: EpipolarProblem, start: RelativePose, schedule_px: tuple[float, ...] = SCHEDULE_PX
+    problem: EpipolarProblem,
+    start: RelativePose,
+    schedule_px: tuple[float, ...] = SCHEDULE_PX,
+    *,
+    steps_each: int = STEPS_EACH,
 ) -> RelativePose:
     """The estimate after the kernel has closed in pixels (Geman & McClure 1985)."""
+    scales = tuple(scale for scale in schedule_px for _ in range(steps_each))
+    return steer(problem, start, Marquardt(START_DAMPING, schedule=Schedule(scales)), len(scales))
+
+
+def steer(problem: EpipolarProblem, start: RelativePose, controller: Controller, n_iterations: int) -> RelativePose:
+    """The estimate after iterations in which a controller chose scale, in pixels, and damping."""
     known = replace(problem, scale_px=1.0)
-    estimate = start
-    for scale_px in schedule_px:
-        options = LoopOptions("geman", scale_px, STEPS_EACH, initial_damping=1e-6)
-        estimate = minimize(known, estimate, options, scale_px=scale_px).estimate
-    return estimate
+    state = begin(known, start, KERNEL, rules=CHOSEN_SCALE, scale_factor=START_SCALE_PX)
+    return run(known, state, controller, KERNEL, CHOSEN_SCALE, Counted(n_iterations)).estimate
 
 
 def finish(problem: EpipolarProblem, start: RelativePose) -> EpipolarMinimum:
@@ -239,20 +288,23 @@ def finish(problem: EpipolarProblem, start: RelativePose) -> EpipolarMinimum:
     return minimize(part, start, LoopOptions("tukey", max_iterations=LAST_STEPS, tolerance_sigma=0.005))
 
 
-def cost_at(problem: EpipolarProblem, estimate: RelativePose, scale_px: float = 1.0) -> float:
+def cost_at(problem: EpipolarProblem, estimate: RelativePose, scale_px: float = 1.0) -> Float[ndarray, "*batch"]:
     """Geman and McClure's cost, by which starts compete, in squares of the scale."""
-    return float(robust.costs(problem.residuals_px(estimate) ** 2, np.asarray(scale_px), "geman").sum()) / scale_px**2
+    costs = robust.costs(problem.residuals_px(estimate) ** 2, np.asarray(scale_px), KERNEL)
+    counts = 1.0 if problem.counts is None else problem.counts
+    return np.asarray((counts * costs).sum(axis=-1)) / scale_px**2
 
 
 def parallax_and_sides(
     problem: EpipolarProblem, estimate: RelativePose
-) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+) -> tuple[Float[ndarray, "*batch n"], Float[ndarray, "*batch n"]]:
     """By how many pixels points lie from where they would at infinity, and 1 where they are in front of both cameras, else -1."""
-    x, y = problem.left.directions @ estimate.R.T, problem.right.directions
+    x, y = problem.left.directions @ estimate.R.swapaxes(-1, -2), problem.right.directions
     across = np.cross(x, y)
     # x a + t = y b: depths from both rays, signs only
-    normal = np.maximum(np.sum(across**2, axis=1), 1e-300)
-    a = np.einsum("ni,ni->n", np.cross(y, estimate.t[None]), across) / normal
-    b = np.einsum("ni,ni->n", np.cross(x, estimate.t[None]), across) / normal
-    pixels = np.linalg.norm(problem.right.by_pixel, axis=1).mean(axis=1)
+    normal = np.maximum(np.sum(across**2, axis=-1), 1e-300)
+    t = estimate.t[..., None, :]
+    a = np.sum(np.cross(y, t) * across, axis=-1)
+    b = np.sum(np.cross(x, t) * across, axis=-1)
+    pixels = np.linalg.norm(problem.right.by_pixel, axis=-2).mean(axis=-1)
     return np.sqrt(normal) / pixels, np.where((a > 0) & (b > 0), 1.0, -1.0)

@@ -91,7 +91,7 @@ class Near(Rules[E, Q, S]):
         scaled = action.scale_factor * ahead
         return ahead, np.where(scaled < state.scale_px, scaled, state.scale_px)
 
-    def is_possible(self, step: S, ahead_px: Float[ndarray, "*batch"]) -> bool:
+    def is_possible(self, step: S, ahead_px: Float[ndarray, "*batch"]) -> Bool[ndarray, "*batch"] | bool:
         """Everywhere: an impossible candidate's cost is infinite."""
         return True
 

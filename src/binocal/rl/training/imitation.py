@@ -15,9 +15,10 @@ import numpy as np
 import torch
 from numpy import ndarray
 
+from binocal.rl.cases import Cases, cases_of
 from binocal.rl.policy import Policy
-from binocal.rl.rig_batches import RigBatch, remaining_sigma, sample_starts
-from binocal.rl.task import TaskState, initial, n_actions, observation, observation_names, transition
+from binocal.rl.task import TaskState
+from binocal.rl.tasks import task_of
 from binocal.rl.training.networks import Actor
 from binocal.rl.training.replay import ReplayBuffer
 from binocal.rl.training.td3 import TD3Options
@@ -33,10 +34,11 @@ LEAST_GAIN_DECADES = 0.02  # a smaller gain is noise of the search, not a target
 class Imitation:
     """A run of imitation: the student, its target actions, generators."""
 
-    def __init__(self, options: TrainingOptions, pools: list[tuple[RigBatch, float]]) -> None:
+    def __init__(self, options: TrainingOptions, pools: list[tuple[Cases, float]]) -> None:
         self.options, self.pools = options, pools
         td3: TD3Options = options.td3
-        n_observed, n = len(observation_names(options.kind)), n_actions(options.kind)
+        self.task, self.cases = task_of(options.kind), cases_of(options.kind)
+        n_observed, n = len(self.task.observation_names), len(self.task.action_names)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(options.seed)
             self.actor = Actor(n_observed, n, td3.actor_widths, CENTRES[options.kind])
@@ -49,16 +51,15 @@ class Imitation:
         """One pool's episodes: search in every state, then learn from all target actions so far."""
         pool, tolerance = self.pools[self.n_generations % len(self.pools)]
         rigs = pool.select(self.rng.permutation(pool.n_rigs)[: self.options.rigs_per_generation])
-        kind = self.options.kind
-        state = initial(rigs.problem, sample_starts(rigs, self.rng), kind)
+        state = self.task.initial(rigs.problem, self.cases.sample_starts(rigs, self.rng))
         for _ in range(MAX_TRAINING_STEPS):
-            seen = observation(rigs.problem, state, kind)
+            seen = self.task.observation(rigs.problem, state)
             wanted, following = self._search(rigs, state, seen, tolerance)
             nothing = np.zeros(len(seen))
             self.target_actions.add(seen, wanted, nothing, np.zeros_like(seen), nothing > 0)
             if self.n_generations == 0:
                 self._normalise()
-            keep = np.flatnonzero(remaining_sigma(rigs, following.loop) > tolerance)
+            keep = np.flatnonzero(self.cases.remaining_sigma(rigs, following.loop) > tolerance)
             if not len(keep):
                 break
             rigs = rigs.select(keep)
@@ -74,18 +75,18 @@ class Imitation:
         """The student as a policy."""
         return policy_of(self.options.kind, self.weights(), {})
 
-    def _search(self, rigs: RigBatch, state: TaskState, seen: ndarray, tolerance: float) -> tuple[ndarray, TaskState]:
+    def _search(self, rigs: Cases, state: TaskState, seen: ndarray, tolerance: float) -> tuple[ndarray, TaskState]:
         """The best action tried for each rig, and the state that the student's own action leads to."""
         with torch.no_grad():
             own = self.actor(torch.as_tensor(seen, dtype=torch.float32)).numpy().astype(float)
-        following = transition(rigs.problem, state, own, self.options.kind)
-        best_action, best = own, _decades(rigs, following, tolerance) - LEAST_GAIN_DECADES
+        following = self.task.transition(rigs.problem, state, own)
+        best_action, best = own, self._decades(rigs, following, tolerance) - LEAST_GAIN_DECADES
         for trial in range(1, N_TRIED):
             if trial % 4:
                 action = np.clip(own + SEARCH_SPREAD * self.rng.standard_normal(own.shape), -1, 1)
             else:
                 action = self.rng.uniform(-1, 1, own.shape)
-            left = _decades(rigs, transition(rigs.problem, state, action, self.options.kind), tolerance)
+            left = self._decades(rigs, self.task.transition(rigs.problem, state, action), tolerance)
             is_better = left < best
             best_action = np.where(is_better[:, None], action, best_action)
             best = np.where(is_better, left, best)
@@ -105,8 +106,7 @@ class Imitation:
             loss.backward()
             self.optimiser.step()
 
-
-def _decades(rigs: RigBatch, state: TaskState, tolerance: float) -> ndarray:
-    """Decades that are left to the tolerance."""
-    sigma = np.nan_to_num(remaining_sigma(rigs, state.loop), nan=1e8)
-    return np.log10(np.maximum(sigma, tolerance) / tolerance)
+    def _decades(self, rigs: Cases, state: TaskState, tolerance: float) -> ndarray:
+        """Decades that are left to the tolerance."""
+        sigma = np.nan_to_num(self.cases.remaining_sigma(rigs, state.loop), nan=1e8)
+        return np.log10(np.maximum(sigma, tolerance) / tolerance)

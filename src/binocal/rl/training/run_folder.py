@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from binocal.errors import DataError
 from binocal.output import check_output_folder, write_aside
+from binocal.rl.agent_kind import AgentKind
+from binocal.rl.cases import Cases
 from binocal.rl.evaluation import EvaluationSet, Row, compare_on, format_rows, simulated_evaluation_set
 from binocal.rl.history import TrainingHistory, load_history, write_history
+from binocal.rl.match_batches import MATCH_SETS
 from binocal.rl.policy import Policy, load_policy, save_policy, shipped_policy
-from binocal.rl.rig_batches import RIG_SETS, RigBatch
+from binocal.rl.rig_batches import RIG_SETS
+from binocal.rl.street_evaluation import FoundRow, compare_on_matches, street_case
 from binocal.rl.training.checkpoint import load_checkpoint, save_checkpoint
-from binocal.rl.training.trainer import TRAINING_SETS, Check, Training, TrainingOptions, run_training, simulated_pools
+from binocal.rl.training.trainer import Check, Training, TrainingOptions, run_training, simulated_pools
 
 CHECKPOINT, WEIGHTS, HISTORY = "checkpoint.pt", "weights.safetensors", "history.npz"
 CHECKS, CARD, TABLE = "checks.json", "card.md", "table.json"
@@ -31,7 +34,7 @@ class TrainingRun:
     folder: Path
     policy: Policy
     checks: tuple[Check, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[Row, ...] | tuple[FoundRow, ...]
     n_steps: int
     elapsed_s: float
     is_complete: bool
@@ -88,7 +91,7 @@ def train_agent(
     folder: Path,
     options: TrainingOptions,
     *,
-    pools: tuple[list[tuple[RigBatch, float]], list[tuple[RigBatch, float]]] | None = None,
+    pools: tuple[list[tuple[Cases, float]], list[tuple[Cases, float]]] | None = None,
     evaluation_set: EvaluationSet | None = None,
     description: str = "",
     n_rigs: int = 1000,
@@ -143,19 +146,15 @@ def train_agent(
     save_checkpoint(training, path)
     card = _facts(training, description, command, version)
     policy = training.policy(card, best=True)
-    rows: list[Row] = []
-    name = str(options.kind)
-    policies = {name: policy, f"{name}, as shipped": shipped_policy(options.kind)}
-    evaluation_sets = (
-        [partial(simulated_evaluation_set, sort, n_rigs, options.seed + 1) for sort in RIG_SETS]
-        if evaluation_set is None
-        else [lambda: evaluation_set]
-    )
+    rows: list[Row] | list[FoundRow] = []
     if n_rigs:
-        for index, prepare in enumerate(evaluation_sets):
-            report("evaluation", index, len(evaluation_sets))
-            rows += compare_on(prepare(), policies)
-        report("evaluation", len(evaluation_sets), len(evaluation_sets))
+        name = str(options.kind)
+        policies = {name: policy, f"{name}, as shipped": shipped_policy(options.kind)}
+        comparisons = _comparisons(options.kind, policies, n_rigs, options.seed + 1, evaluation_set)
+        for index, compare in enumerate(comparisons):
+            report("evaluation", index, len(comparisons))
+            rows = [*rows, *compare()]
+        report("evaluation", len(comparisons), len(comparisons))
         card |= {"table": [asdict(row) for row in rows]}
     policy = replace(policy, card={key: value for key, value in card.items() if key != "table"})
     save_policy(policy, folder / WEIGHTS)
@@ -168,13 +167,24 @@ def train_agent(
         folder,
         policy,
         tuple(training.checks),
-        tuple(rows),
+        tuple(rows),  # pyright: ignore - of one kind
         training.n_steps,
         training.elapsed_s,
         training.is_done,
         was_resumed,
         training.history(),
     )
+
+
+def _comparisons(
+    kind: AgentKind, policies: Mapping[str, Policy], n_rigs: int, seed: int, evaluation_set: EvaluationSet | None
+) -> list[Callable[[], Any]]:
+    """What makes the evaluation's rows, set by set."""
+    if kind == AgentKind.DRL_STREETS:
+        return [lambda name=name: compare_on_matches(street_case(name, n_rigs, seed), policies) for name in MATCH_SETS]
+    if evaluation_set is not None:
+        return [lambda: compare_on(evaluation_set, policies)]
+    return [lambda name=name: compare_on(simulated_evaluation_set(name, n_rigs, seed), policies) for name in RIG_SETS]
 
 
 def _facts(training: Training, description: str, command: str, version: str) -> dict[str, Any]:
@@ -193,12 +203,12 @@ def _facts(training: Training, description: str, command: str, version: str) -> 
         "seconds": round(training.elapsed_s),
         "steps_per_s": round(training.n_steps / max(training.elapsed_s, 1e-9)),
         "best_check_at_step": best.n_steps,
-        "rigs": description or f"{len(TRAINING_SETS)} simulated distributions, {options.rigs_per_pool} rigs each",
+        "rigs": description or f"{len(training.pools)} simulated distributions, {options.rigs_per_pool} rigs each",
         "options": options.document(),
     }
 
 
-def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...], evaluated_on: str) -> str:
+def model_card(facts: dict[str, Any], rows: Sequence[Row] | Sequence[FoundRow], evaluated_on: str) -> str:
     """The card as Markdown."""
     td3 = facts["options"]["td3"]
     lines = [
@@ -214,8 +224,11 @@ def model_card(facts: dict[str, Any], rows: list[Row] | tuple[Row, ...], evaluat
         "",
     ]
     if rows:
+        counted = "one iteration is one candidate evaluated, failures count 25"
+        if isinstance(rows[0], FoundRow):
+            counted = "found: within 3 standard deviations of the truth by the Cramér-Rao bound, once polished"
         lines += [
-            f"On {evaluated_on} ({rows[0].n_rigs} each); one iteration is one candidate evaluated, failures count 25.",
+            f"On {evaluated_on} ({rows[0].n_rigs} each); {counted}.",
             "",
             format_rows(rows),
             "",

@@ -19,11 +19,15 @@ from numpy import ndarray
 from torch import Tensor
 
 from binocal.rl.agent_kind import AgentKind
+from binocal.rl.cases import Cases, cases_of
+from binocal.rl.epipolar_task import action_of
 from binocal.rl.episodes import EpisodeOutcome, Transitions, run_episodes
 from binocal.rl.history import TrainingHistory
+from binocal.rl.match_batches import FOUND_SIGMA, MATCH_SETS, sample_matches
 from binocal.rl.policy import Policy
-from binocal.rl.rig_batches import RIG_SETS, RigBatch, RigDistribution, sample_rigs, sample_starts
-from binocal.rl.task import INCREMENT_REACH, n_actions, observation_names
+from binocal.rl.rig_batches import RIG_SETS, RigDistribution, sample_rigs
+from binocal.rl.task import INCREMENT_REACH
+from binocal.rl.tasks import task_of
 from binocal.rl.training.networks import Actor
 from binocal.rl.training.replay import ReplayBuffer
 from binocal.rl.training.td3 import TD3, TD3Options
@@ -40,11 +44,18 @@ TRAINING_SETS: tuple[tuple[RigDistribution, float], ...] = tuple(
         (replace(RIG_SETS["standard"], n_views=8), 0.1),
     )
 )
-"""Distributions that the shipped agents train on, and standard deviations from the optimum that end an episode."""
+"""Distributions that the agents for boards train on, and standard deviations from the optimum that end an episode."""
+STREET_SETS = ("drift_hard", "mid", "drift_hard", "drift_easy")
+"""Those of the agent for streets; where wrong matches are few, hardly anything is left to learn."""
 
 CORRECTED_STEP = (-0.1, 0.0, 0.0, 0.0, 0.8, -0.1)
-CENTRES = {AgentKind.DRL: CORRECTED_STEP, AgentKind.DRL_INCREMENTS: None}
-"""What an untrained actor does, and where random actions begin: a corrected step; nothing at all."""
+CENTRES = {
+    AgentKind.DRL: CORRECTED_STEP,
+    AgentKind.DRL_INCREMENTS: None,
+    AgentKind.DRL_STREETS: action_of(scale_px=16.0, damping=1e-5),
+}
+"""What an untrained actor does, and where random actions begin: a corrected step; nothing at all; a middling scale."""
+RANDOM_SPREADS = {AgentKind.DRL: 0.3, AgentKind.DRL_STREETS: 0.5}
 
 UPDATES_PER_TRACE = 50  # of the loss and the target lag that the figure draws
 VALIDATION_RIGS = 96
@@ -86,6 +97,11 @@ def default_options(kind: AgentKind) -> TrainingOptions:
     options = TrainingOptions(kind=kind)
     if kind == AgentKind.DRL:
         return options
+    if kind == AgentKind.DRL_STREETS:  # what counts is where an episode ends: a dozen steps must be worth looking at
+        td3 = replace(options.td3, discount=0.97, smoothing=0.15)
+        return replace(
+            options, n_steps=600_000, exploration=(0.5, 0.15), td3=td3, rigs_per_pool=1200, rigs_per_generation=128
+        )
     td3 = replace(options.td3, smoothing=0.02, smoothing_limit=0.05)
     return replace(options, n_steps=1_500_000, exploration=(0.08, 0.01), td3=td3)
 
@@ -118,14 +134,16 @@ class Training:
     """A run and all that lives in it: networks, replay buffer, generators, counters."""
 
     def __init__(
-        self, options: TrainingOptions, pools: list[tuple[RigBatch, float]], validation: list[tuple[RigBatch, float]]
+        self, options: TrainingOptions, pools: list[tuple[Cases, float]], validation: list[tuple[Cases, float]]
     ) -> None:
         if not pools:
             raise ValueError("training needs at least one pool of rigs")
         self.options, self.pools, self.validation = options, pools, validation
         self.rng, self.sampling = (np.random.default_rng([options.seed, stream]) for stream in (1, 5))
         self.noise = torch.Generator().manual_seed(options.seed)
-        n_observed, n = len(observation_names(options.kind)), n_actions(options.kind)
+        task = task_of(options.kind)
+        n_observed, n = len(task.observation_names), len(task.action_names)
+        self.cases = cases_of(options.kind)
         with torch.random.fork_rng(devices=[]):  # the caller's own stream stays where it was
             torch.manual_seed(options.seed)
             self.td3 = TD3(n_observed, n, options.td3, CENTRES[options.kind])
@@ -145,7 +163,7 @@ class Training:
     def warm_up(self) -> None:
         """Fills the buffer with episodes of random actions around a plain start, and fixes the observations' units."""
         for pool, tolerance in self.pools:
-            start = sample_starts(pool, self.rng)
+            start = self.cases.sample_starts(pool, self.rng)
             run_episodes(
                 pool,
                 start,
@@ -182,7 +200,7 @@ class Training:
             learning = aside.submit(self._learn)
             run_episodes(
                 part,
-                sample_starts(part, self.rng),
+                self.cases.sample_starts(part, self.rng),
                 explore,
                 options.kind,
                 tolerance_sigma=tolerance,
@@ -202,7 +220,7 @@ class Training:
         predicted: list[ndarray] = []
         policy = self.policy({})
         for index, (pool, tolerance) in enumerate(self.validation):
-            start = sample_starts(pool, np.random.default_rng([7, index]))
+            start = self.cases.sample_starts(pool, np.random.default_rng([7, index]))
             seen: list[ndarray] = []
 
             def act(observed: ndarray, seen: list[ndarray] = seen) -> ndarray:
@@ -311,9 +329,11 @@ class Training:
             return torch.minimum(*self.td3.critic(seen, torch.as_tensor(action, dtype=torch.float32))).numpy()
 
     def _random(self, observed: Float[ndarray, "n o"]) -> Float[ndarray, "n a"]:
-        """Random actions around a corrected Gauss-Newton step, or around that step itself as an increment."""
-        if self.options.kind == AgentKind.DRL:
-            return np.clip(CORRECTED_STEP + self.rng.normal(0, 0.3, (len(observed), 6)), -1, 1)
+        """Random actions around what an untrained actor does, or around the Gauss-Newton step as an increment."""
+        centre = CENTRES[self.options.kind]
+        if centre is not None:
+            noise = self.rng.normal(0, RANDOM_SPREADS[self.options.kind], (len(observed), len(centre)))
+            return np.clip(centre + noise, -1, 1)
         return np.clip(observed[:, -6:] / INCREMENT_REACH + self.rng.normal(0, 0.1, (len(observed), 6)), -1, 1)
 
     def _store(self, t: Transitions) -> None:
@@ -338,9 +358,16 @@ def policy_of(kind: AgentKind, weights: Mapping[str, Tensor], card: dict[str, An
     return Policy(kind, arrays["mean"], arrays["spread"], layers, card)
 
 
-def simulated_pools(options: TrainingOptions) -> tuple[list[tuple[RigBatch, float]], list[tuple[RigBatch, float]]]:
-    """Training and validation rigs of :data:`TRAINING_SETS`; the options' seed draws both."""
-    pools, validation = [], []
+def simulated_pools(options: TrainingOptions) -> tuple[list[tuple[Cases, float]], list[tuple[Cases, float]]]:
+    """Training and validation cases of :data:`TRAINING_SETS` or :data:`STREET_SETS`; the options' seed draws both."""
+    pools: list[tuple[Cases, float]] = []
+    validation: list[tuple[Cases, float]] = []
+    if options.kind == AgentKind.DRL_STREETS:
+        for index, name in enumerate(STREET_SETS):
+            rng = np.random.default_rng([options.seed, 2, index])
+            pools.append((sample_matches(MATCH_SETS[name], options.rigs_per_pool, rng), FOUND_SIGMA))
+            validation.append((sample_matches(MATCH_SETS[name], VALIDATION_RIGS, rng), FOUND_SIGMA))
+        return pools, validation
     for index, (distribution, tolerance) in enumerate(TRAINING_SETS):
         rng = np.random.default_rng([options.seed, 2, index])
         pools.append((sample_rigs(distribution, options.rigs_per_pool, rng), tolerance))
