@@ -67,7 +67,7 @@ def run_training_benchmark(
     }
 
 
-def _evaluated(way: str, seed: int, policy: Policy, validation: list[tuple[RigBatch, float]]) -> dict[str, Any]:
+def _evaluated(way: str, seed: int, policy: Policy, validation: list[tuple[Cases, float]]) -> dict[str, Any]:
     iterations, arrived = [], []
     for index, (pool, tolerance) in enumerate(validation):
         start = sample_starts(pool, np.random.default_rng([11, index]))

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy import ndarray
 
 from binocal.calibrators.registry import WEIGHTS_SUFFIX
 from binocal.errors import FormatError
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.epipolar_task import N_STEPS
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
-from binocal.shapes import Float
 from binocal.solvers.epipolar import EpipolarProblem, RelativePose, cost_at, descend
-from binocal.solvers.portfolio import PORTFOLIO, Led, compete
+from binocal.solvers.portfolio import PORTFOLIO, Contest, Led, compete
 
 MOST_MATCHES = 500  # that solves from an old rig look at: as many as the agent ever saw
 WHOLE_PX = (1.0, 1.0)  # from their minimum to that of all matches
@@ -80,7 +78,7 @@ def closed_from_old_rig(
         some = problem.select(np.sort(np.random.default_rng(seed).permutation(n)[:MOST_MATCHES]))
     others = {} if guess is None else {"matches": descend(some, guess)}
     contest = compete(some, old, solves, others)
-    place = _clearly_elsewhere(contest.costs, min(n, MOST_MATCHES))
+    place = _clearly_elsewhere(some, contest)
     place = int(contest.winner) if place is None else place
     won = contest.names[place]
     report = {
@@ -95,15 +93,18 @@ def closed_from_old_rig(
     return ClosedStart(descend(problem, estimate, WHOLE_PX), start, report)
 
 
-def _clearly_elsewhere(costs: Float[ndarray, "k"], n: int) -> int | None:
+def _clearly_elsewhere(problem: EpipolarProblem, contest: Contest) -> int | None:
     """Which solve ended far from the old rig and explains most matches, where what is near explains far fewer: another rig's images."""
-    is_far = costs > 0.5 * n
-    if not is_far.any():
-        return None
-    explained = 1 - np.where(is_far, costs - 0.5 * n, costs) / (0.5 * n)
+    most = 0.5 * problem.left.directions.shape[0]
+    is_far = contest.costs > most
+    ends = [RelativePose(R, t) for R, t in zip(contest.estimates.R, contest.estimates.t, strict=True)]
+    explained = [
+        1 - float(cost_at(problem, end) if far else cost) / most
+        for end, cost, far in zip(ends, contest.costs, is_far, strict=True)
+    ]
     best = int(np.argmax(np.where(is_far, explained, -np.inf)))
     near = float(np.max(np.where(is_far, 0.0, explained)))
-    return best if explained[best] > FAR_FITS and near < NEAR_SHARE * explained[best] else None
+    return best if is_far[best] and explained[best] > FAR_FITS and near < NEAR_SHARE * explained[best] else None
 
 
 def closed_from_guesses(problem: EpipolarProblem, guesses: Mapping[str, RelativePose]) -> ClosedStart:
