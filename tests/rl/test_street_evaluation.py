@@ -18,6 +18,7 @@ from binocal.rl.street_evaluation import (
     ITS_MEAN,
     ITS_STEPS,
     MAGSAC,
+    MANY,
     OTHERS,
     SCHEDULES,
     TRUTH,
@@ -57,7 +58,7 @@ def test_schedules_end_at_a_pixel_or_two():
 def test_all_controllers_have_a_row(monkeypatch):
     monkeypatch.setattr(street_evaluation, "TUNING_PROBLEMS", 8)
     rows, ms = compare_on_streets(n_problems=16, seed=0)
-    names = {AGENT, ITS_MEAN, ITS_STEPS, OTHERS, TUNED, SCHEDULES, BOTH, MAGSAC, WITHOUT_AGENT, ALL, TRUTH}
+    names = {AGENT, ITS_MEAN, ITS_STEPS, OTHERS, TUNED, SCHEDULES, BOTH, MANY, MAGSAC, WITHOUT_AGENT, ALL, TRUTH}
     for name in MATCH_SETS:
         of_set = {row.controller: row for row in rows if row.set_name == name}
         assert set(of_set) == names and all(row.n_rigs == 16 for row in of_set.values())

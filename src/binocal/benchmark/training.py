@@ -15,7 +15,7 @@ import numpy as np
 from binocal.rl.evaluation import solve_rigs
 from binocal.rl.history import TrainingHistory
 from binocal.rl.policy import LearnedController, Policy
-from binocal.rl.rig_batches import RigBatch, sample_starts
+from binocal.rl.rig_batches import sample_starts
 from binocal.rl.training.imitation import Imitation
 from binocal.rl.training.trainer import Training, TrainingOptions, run_training, simulated_pools
 
@@ -67,7 +67,8 @@ def run_training_benchmark(
     }
 
 
-def _evaluated(way: str, seed: int, policy: Policy, validation: list[tuple[Cases, float]]) -> dict[str, Any]:
+def _evaluated(way: str, seed: int, policy: Policy, validation: list[tuple[Any, float]]) -> dict[str, Any]:
+    """Of rigs, as :func:`binocal.rl.training.trainer.simulated_pools` draws them for boards."""
     iterations, arrived = [], []
     for index, (pool, tolerance) in enumerate(validation):
         start = sample_starts(pool, np.random.default_rng([11, index]))

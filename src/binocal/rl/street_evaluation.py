@@ -15,11 +15,12 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.rl.epipolar_task import CHOSEN, N_STEPS, initial, observation, transition
-from binocal.rl.match_batches import MATCH_SETS, MatchBatch, has_found, sample_matches, sample_starts
+from binocal.rl.match_batches import MATCH_SETS, MatchBatch, has_found, polished, sample_matches, sample_starts
 from binocal.rl.policy import Policy
 from binocal.shapes import Bool, Float
+from binocal.solvers.arrays import choose_rigs
 from binocal.solvers.epipolar import EpipolarProblem, RelativePose, descend
-from binocal.solvers.portfolio import PORTFOLIO, compete
+from binocal.solvers.portfolio import PORTFOLIO, compete, cost_beside
 
 AGENT, ITS_MEAN, ITS_STEPS, OTHERS = (
     "agent, one solve",
@@ -28,6 +29,7 @@ AGENT, ITS_MEAN, ITS_STEPS, OTHERS = (
     "its actions on another problem",
 )
 TUNED, SCHEDULES, BOTH = "best tuned schedule", "4 schedules", "agent and 4 schedules"
+MANY = "36 schedules"
 MAGSAC, WITHOUT_AGENT, ALL = "MAGSAC, polished", "4 schedules and MAGSAC", "agent, 4 schedules and MAGSAC"
 TRUTH = "started at the truth"
 TUNING_PROBLEMS = 300
@@ -108,6 +110,7 @@ def compare_on_matches(
         OTHERS: (replayed(problem, start, np.roll(actions, 1, axis=1)), ""),
         TUNED: (descend(problem, start, schedule, steps_each=1), ", ".join(f"{scale:g}" for scale in schedule)),
         **{name: (estimate, "") for name, estimate in chosen_by_cost(case, end, guess).items()},
+        MANY: (best_of_schedules(case), ""),
         TRUTH: (matches.truth, ""),
         **{name: (solved_by(policy, problem, start)[0], "") for name, policy in more},
     }
@@ -128,6 +131,17 @@ def chosen_by_cost(case: StreetCase, led: RelativePose, guess: RelativePose | No
         return {name: one.estimate for name, one in chosen.items()}
     chosen |= {WITHOUT_AGENT: contest.of((*schedules, MAGSAC)), ALL: contest}
     return {MAGSAC: guess} | {name: one.estimate for name, one in chosen.items()}
+
+
+def best_of_schedules(case: StreetCase) -> RelativePose:
+    """What wins among all schedules that are tried, by the cost that the set's bounds allow."""
+    turn_deg, direction_deg = case.matches.options.bounds_deg
+    problem, best, least = case.matches.problem, case.start, np.full(case.matches.n_rigs, np.inf)
+    for scales in schedules():
+        end = polished(problem, descend(problem, case.start, scales, steps_each=1))
+        cost = cost_beside(problem, end, case.start, turn_deg, direction_deg)
+        best, least = choose_rigs(cost < least, end, best), np.minimum(cost, least)
+    return best
 
 
 def found_row(
