@@ -1,18 +1,18 @@
 """Rotation and direction of translation from natural images: matches of many pairs, intrinsics held.
 
-Starts compete by the cost under a kernel of one pixel: the old rig, what matches alone give, two plain guesses. An old rig bounds
+Starts compete (:mod:`binocal.calibrators.natural_start`): the old rig, what matches alone give, two plain guesses. An old rig bounds
 the choice, since structured wrong matches may well have the lower cost elsewhere. What the scene does not tell stays as it was.
 The length of the translation is never told by matches.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.calibrators.natural_start import Guess, best_start
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -28,11 +28,10 @@ from binocal.solvers.epipolar import (
     EpipolarProblem,
     Rays,
     RelativePose,
-    cost_at,
-    descend,
     finish,
     parallax_and_sides,
     tangents,
+    turn_of_direction,
 )
 from binocal.solvers.epipolar_covariance import (
     covariance_by_regions,
@@ -43,8 +42,6 @@ from binocal.solvers.epipolar_covariance import (
 
 MIN_MATCHES = 30
 MIN_RIGHT_SHARE = 0.15  # of the matches; unfiltered ones of self-similar scenes keep 0.2 and more
-OLD_RIG_TURN_DEG, OLD_RIG_DIRECTION_DEG = 5.5, 6.0
-"""Within which a result is taken for the same rig; a mount that moved by more has broken."""
 UNTOLD_TURN_DEG, UNTOLD_DIRECTION_DEG = 1.0, 12.0
 """Standard deviations above which a scene does not tell a direction of the pose."""
 ASSUMED_FOCAL_SHARE, ASSUMED_ASPECT_SHARE, ASSUMED_CENTRE_PX = 4e-4, 2e-4, 0.25
@@ -72,7 +69,7 @@ class NaturalRequest:
     baseline_sigma_m: float = 0.0
     length_from: str = "nothing: lengths are in baselines"
     intrinsics: Covariance | None = None
-    guess: Callable[[PointMatches], SE3 | None] | None = None
+    guess: Guess | None = None
     """A first guess from matches alone (:mod:`binocal.matching.relative_pose`)."""
     seed: int = 0
     progress: ProgressCallback | None = None
@@ -93,7 +90,8 @@ def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> St
         )
     matches = matches.select(has_rays)
     _refuse_whole_rows(matches)
-    start, name = _best_start(problem, matches, request)
+    rng = np.random.default_rng(request.seed)
+    start, name = best_start(problem, matches, request.old, request.guess, rng)
     minimum = finish(problem, start)
     estimate, noise_px = minimum.estimate, max(float(minimum.scale_px), NOISE_FLOOR_PX)
     estimate = _on_the_visible_side(problem, estimate, noise_px)
@@ -132,34 +130,6 @@ def _pairs_apart(matches: PointMatches, is_right: Bool[ndarray, "n"]) -> list[Fi
             share, usual_share = 100 * float(is_right[own].mean()), 100 * float(usual)
             found.append(finding("pair-contradicts", pair=name, share_percent=share, usual_percent=usual_share))
     return found
-
-
-def _best_start(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> tuple[RelativePose, str]:
-    """Where the kernel closed from the best start, and which that was."""
-    starts: dict[str, RelativePose] = {}
-    if request.old is not None:
-        starts["old rig"] = RelativePose.of(request.old)
-    guess = request.guess(matches) if request.guess is not None else None
-    if guess is not None:
-        starts["matches"] = RelativePose.of(guess)
-    if request.old is None:
-        for name, t in (("side by side", [-1.0, 0.0, 0.0]), ("one above the other", [0.0, -1.0, 0.0])):
-            starts[name] = RelativePose(np.eye(3), np.array(t))
-    ends = {name: descend(problem, start) for name, start in starts.items()}
-    costs = {name: cost_at(problem, end) for name, end in ends.items()}
-    if request.old is not None:
-        old = starts["old rig"]
-        near = {name for name, end in ends.items() if _is_near(old, end)}
-        if near:
-            costs = {name: cost for name, cost in costs.items() if name in near}
-    best = min(costs, key=costs.__getitem__)
-    return ends[best], best
-
-
-def _is_near(old: RelativePose, new: RelativePose) -> bool:
-    turn_deg = float(np.degrees(so3.angle_rad(new.R @ old.R.T)))
-    direction_deg = float(np.degrees(np.arccos(np.clip(abs(old.t @ new.t), -1, 1))))
-    return turn_deg < OLD_RIG_TURN_DEG and direction_deg < OLD_RIG_DIRECTION_DEG
 
 
 def _all_far(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> bool:
@@ -264,19 +234,12 @@ def _with_untold_kept(
         raise refusal(finding("scene-tells-too-little", **figures))
     old = RelativePose.of(request.old)
     told = unit[:, None] * vectors[:, ~untold]
-    away = np.r_[so3.log(old.R @ estimate.R.T), _turn_of_direction(estimate.t, old.t)] / unit
+    away = np.r_[so3.log(old.R @ estimate.R.T), turn_of_direction(estimate.t, old.t)] / unit
     current = _refined_along(problem, estimate.stepped(unit * (axes @ (axes.T @ away))), told, noise_px)
     moved = np.array(covariance)
     keep = (unit[:, None] * axes) @ np.diag(np.minimum(values[untold], 1.0)) @ (unit[:, None] * axes).T
     moved[:5, :5] = told @ np.diag(values[~untold]) @ told.T + keep
     return current, moved, [finding("scene-tells-too-little-kept", **figures)]
-
-
-def _turn_of_direction(start: Float[ndarray, "3"], end: Float[ndarray, "3"]) -> Float[ndarray, "2"]:
-    """The turn about the two tangents that takes one direction to the other."""
-    axis = np.cross(start, end)
-    length = float(np.linalg.norm(axis))
-    return tangents(start).T @ axis * (np.arctan2(length, float(start @ end)) / max(length, 1e-300))
 
 
 def _refined_along(

@@ -89,6 +89,35 @@ def tangents(t: Float[ndarray, "3"]) -> Float[ndarray, "3 2"]:
     return np.stack([first, np.cross(t, first)], axis=1)
 
 
+def turn_of_direction(start: Float[ndarray, "3"], end: Float[ndarray, "3"]) -> Float[ndarray, "2"]:
+    """The turn about the two :func:`tangents` of one direction that takes it to another, radians."""
+    axis = np.cross(start, end)
+    length = float(np.linalg.norm(axis))
+    return tangents(start).T @ axis * (np.arctan2(length, float(start @ end)) / max(length, 1e-300))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePrior:
+    """Where a pose was, and by how much it may have moved: one standard deviation of each angle of R, and of the direction of t.
+
+    Noise is taken to be the kernel's scale: a wide kernel, under which wrong matches pull with full weight, hardly moves what matches
+    hardly tell; one of a pixel does not feel the prior.
+    """
+
+    pose: RelativePose
+    turn_rad: float
+    direction_rad: float
+
+    @property
+    def precision(self) -> Float[ndarray, "5"]:
+        """1 / variance of the five unknowns."""
+        return np.r_[[self.turn_rad**-2] * 3, [self.direction_rad**-2] * 2]
+
+    def step_back(self, estimate: RelativePose) -> Float[ndarray, "5"]:
+        """The step that takes an estimate to the prior's pose; its square has the exact gradient that a step's has."""
+        return np.r_[so3.log(self.pose.R @ estimate.R.T), turn_of_direction(estimate.t, self.pose.t)]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EpipolarEquations:
     """Residuals, weights and normal equations (see :class:`binocal.solvers.problem.Equations`)."""
@@ -97,6 +126,10 @@ class EpipolarEquations:
     jacobian: Float[ndarray, "n 5"]
     weights: Float[ndarray, "n"]
     cost_px2: Float[ndarray, "*batch"]
+    precision_px2: Float[ndarray, "5"]
+    """Of the prior, in units of the kernel's squared scale; 0 without one."""
+    step_back: Float[ndarray, "5"]
+    scale_px: Float[ndarray, "*batch"]
 
     @property
     def r2_px2(self) -> tuple[Float[ndarray, "n"], ...]:
@@ -105,12 +138,18 @@ class EpipolarEquations:
 
     def cost_under(self, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> Float[ndarray, "*batch"]:
         """Robust cost of the same residuals under another scale of the kernel."""
-        return np.asarray(robust.costs(self.residuals_px**2, scale_px, kernel).sum())
+        energy = 0.5 * self.precision_px2 @ self.step_back**2 * (scale_px / self.scale_px) ** 2
+        return np.asarray(robust.costs(self.residuals_px**2, scale_px, kernel).sum() + energy)
 
     @property
     def information(self) -> Float[ndarray, "5 5"]:
-        """Of the unknowns, for unit noise, by the kernel's weights."""
-        return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
+        """Of the unknowns, for unit noise, by the kernel's weights and the prior."""
+        return self.jacobian.T @ (self.weights[:, None] * self.jacobian) + np.diag(self.precision_px2)
+
+    @property
+    def downhill(self) -> Float[ndarray, "5"]:
+        """The negative gradient of the cost."""
+        return self.precision_px2 * self.step_back - self.jacobian.T @ (self.weights * self.residuals_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +169,7 @@ class EpipolarProblem:
     counts: Float[ndarray, "n"] | None = None
     """How often each match counts; None: once."""
     scale_px: float | None = None
+    prior: PosePrior | None = None
 
     @staticmethod
     def of_matches(cameras: tuple[Camera, Camera], matches: PointMatches) -> tuple[EpipolarProblem, Bool[ndarray, "n"]]:
@@ -190,15 +230,18 @@ class EpipolarProblem:
             columns.append((d_value - s * d_length) / length)
         counts = 1.0 if self.counts is None else self.counts
         weights = counts * robust.weights(s**2, scale_px, kernel)
-        cost = np.sum(counts * robust.costs(s**2, scale_px, kernel))
-        return EpipolarEquations(s, np.stack(columns, axis=1), weights, np.asarray(cost))
+        precision, back = np.zeros(5), np.zeros(5)
+        if self.prior is not None:
+            precision, back = float(scale_px) ** 2 * self.prior.precision, self.prior.step_back(estimate)
+        cost = np.sum(counts * robust.costs(s**2, scale_px, kernel)) + 0.5 * precision @ back**2
+        return EpipolarEquations(s, np.stack(columns, axis=1), weights, np.asarray(cost), precision, back, scale_px)
 
     def solve_step(
         self, estimate: RelativePose, equations: EpipolarEquations, damping: Float[ndarray, "*batch"]
     ) -> EpipolarStep:
         """Levenberg-Marquardt step with Marquardt's scaling."""
         H = equations.information
-        g = -equations.jacobian.T @ (equations.weights * equations.residuals_px)
+        g = equations.downhill
         size = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
         A = H / np.outer(size, size) + (float(damping) + 1e-12) * np.eye(5)
         try:
@@ -221,10 +264,13 @@ EpipolarMinimum = Minimum[RelativePose, EpipolarEquations]
 
 
 def descend(
-    problem: EpipolarProblem, start: RelativePose, schedule_px: tuple[float, ...] = SCHEDULE_PX
+    problem: EpipolarProblem,
+    start: RelativePose,
+    schedule_px: tuple[float, ...] = SCHEDULE_PX,
+    prior: PosePrior | None = None,
 ) -> RelativePose:
-    """The estimate after the kernel has closed in pixels (Geman & McClure 1985)."""
-    known = replace(problem, scale_px=1.0)
+    """The estimate after the kernel has closed in pixels (Geman & McClure 1985), held by what is known of the pose."""
+    known = replace(problem, scale_px=1.0, prior=prior)
     estimate = start
     for scale_px in schedule_px:
         options = LoopOptions("geman", scale_px, STEPS_EACH, initial_damping=1e-6)
@@ -233,7 +279,10 @@ def descend(
 
 
 def finish(problem: EpipolarProblem, start: RelativePose) -> EpipolarMinimum:
-    """The minimum under Tukey's kernel, its scale from the residuals of what is left within a few pixels."""
+    """The minimum under Tukey's kernel, its scale from the residuals of what is left within a few pixels.
+
+    NOT checked: that anything is.
+    """
     near = np.abs(problem.residuals_px(start)) < NEAR_PX
     part = replace(problem.select(near), scale_px=None)
     return minimize(part, start, LoopOptions("tukey", max_iterations=LAST_STEPS, tolerance_sigma=0.005))
