@@ -48,6 +48,12 @@ def _faults(**options: Any) -> dict[str, Any]:
     return run_faults_benchmark(**options)
 
 
+def _natural(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.natural import run_natural_benchmark
+
+    return run_natural_benchmark(**options)
+
+
 def _pipeline(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.pipeline import run_pipeline_benchmark
 
@@ -90,6 +96,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "coverage": _coverage,
     "detection": _detection,
     "faults": _faults,
+    "natural": _natural,
     "pipeline": _pipeline,
     "precision": _precision,
     "real": _real,
