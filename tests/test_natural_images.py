@@ -134,6 +134,42 @@ def test_wrong_images_are_named(folder, tmp_path, capsys):
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
+def test_simulate_makes_what_recalibrate_and_evaluate_take(tmp_path, capsys):
+    rig = StereoRig(
+        *(
+            replace(c, size_wh=(240, 180), parameters=c.parameters * ([0.5] * 4 + [1] * 5))
+            for c in (RIG.left, RIG.right)
+        ),
+        T,
+    )
+    rig_json.write_rig(tmp_path / "rig.json", rig)
+    out = tmp_path / "out"
+    arguments = [
+        "simulate",
+        "--rig",
+        tmp_path / "rig.json",
+        "--scene",
+        "room",
+        "--pairs",
+        "1",
+        "--output",
+        out,
+        "--gap",
+        "10",
+    ]
+    assert run(*arguments, "--noise", "1", "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["scene"] == "room" and document["gap_s"] == pytest.approx(0.01) and len(document["views"]) == 1
+    assert sorted(path.name for path in out.iterdir()) == ["left_00.png", "right_00.png", "truth.json"]
+    new = tmp_path / "new.json"
+    assert run("recalibrate", *sources(out), "--rig", out / "truth.json", "--output", new) == 0
+    capsys.readouterr()
+    assert run("evaluate", new, "--truth", out / "truth.json", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["rotation_error_deg"] < 0.2
+    assert run(*arguments) == 3 and "--force" in capsys.readouterr().err
+    assert run(*arguments, "--force", "--seed", "1") == 0
+
+
 def test_frames_that_tell_most_are_chosen(folder):
     source = natural.source_of_images(
         str(folder / "left_*.png"), str(folder / "right_*.png"), natural.load_given_rig(folder / "true.json")

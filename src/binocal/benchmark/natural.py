@@ -15,6 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
+from binocal.calibrators.natural_start import LEAST_NEAR
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import CalibrationError
 from binocal.geometry import SE3, so3
@@ -136,10 +137,16 @@ def _peers(problem: _Problem) -> dict[str, RelativePose | None]:
     best = min(ends, key=lambda end: cost_at(equations, end))
     peer = estimate_relative_pose(problem.cameras, matches.left_px, matches.right_px)
     return {
-        "portfolio": finish(equations, best).estimate,
-        "from_truth": finish(equations, problem.truth).estimate,
+        "portfolio": _finished(equations, best),
+        "from_truth": _finished(equations, problem.truth),
         "opencv": None if peer is None else RelativePose.of(peer),
     }
+
+
+def _finished(equations: EpipolarProblem, end: RelativePose) -> RelativePose | None:
+    """The minimum there; None where hardly a match is near."""
+    is_near = np.abs(equations.residuals_px(end)) < NEAR_PX
+    return finish(equations, end).estimate if is_near.sum() >= LEAST_NEAR else None
 
 
 def _score(problem: _Problem, pose: RelativePose | None, reference: RelativePose | None) -> tuple[float, bool]:

@@ -333,7 +333,6 @@ def simulate(
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
-    from binocal.simulation import TEXTURED_SCENES
 
     if (board is None) == (scene is None):
         raise typer.BadParameter("give either --board SPEC or --scene street|room.")
@@ -343,7 +342,7 @@ def simulate(
     if parsed is not None and not parsed.is_metric:
         raise typer.BadParameter("a simulated board needs its size: give the length a unit, such as 20mm.")
     if scene is not None:
-        _one_of("--scene", scene, TEXTURED_SCENES)
+        _one_of("--scene", scene, ("street", "room"))
     check_output_folder(output, force=force)
     options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap)
     if rig == "table2":
