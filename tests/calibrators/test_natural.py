@@ -88,6 +88,11 @@ def test_what_a_far_scene_does_not_tell_is_kept_or_refused():
     assert [f.code for f in kept.findings] == ["scene-tells-too-little-kept"]
     rotation_deg, direction_deg = difference_deg(kept)
     assert rotation_deg < 0.1 and direction_deg < 0.01
+    for axis in range(3):  # where the direction is kept, the angles are told as they are from there
+        old = SE3(turned(axis, 1.0).R, so3.exp(np.radians([0.0, 0.5, 0.8])) @ T_RIGHT_LEFT.t)
+        kept = solve(far, old=old)
+        turn = so3.log(kept.rig.T_right_left.R @ T_RIGHT_LEFT.R.T)
+        assert np.abs(turn / [kept.covariance.sigma[f"rotation.{a}"] for a in "xyz"]).max() < 3.5
 
 
 def test_pairs_that_contradict_are_named():
