@@ -41,6 +41,17 @@ def make_rig(
     )
 
 
+def street_rig(model: str = "brown4") -> StereoRig:
+    """A car's cameras, 0.54 m apart."""
+    if model == "fisheye4":
+        parameters = [[400.0, 401, 615 + i, 180, 0, -0.02, 0.003, 0, 0] for i in range(2)]
+    else:
+        parameters = [[720.0, 721, 615 + 3 * i, 180, 0, -0.2, 0.05, 1e-3, -5e-4] for i in range(2)]
+    left, right = (Camera(model, (1242, 375), np.array(values)) for values in parameters)
+    T_right_left = SE3(so3.exp(np.radians([0.3, -0.8, 0.2])), np.array([-0.54, 0.004, -0.006]))
+    return StereoRig(left, right, T_right_left)
+
+
 def make_poses(n_views: int, rng: np.random.Generator) -> SE3:
     """T_left_board of a board of 11x8 corners, 10 mm apart, that stays inside both images of the default rig."""
     angles = rng.uniform(-0.5, 0.5, (n_views, 3)) * [1, 1, 0.3]

@@ -148,6 +148,17 @@ def test_a_rig_in_pitches_is_scaled_by_the_truths_board(fakes, truth):
     assert evaluation.comparison.translation_error_mm < 1e-9 and "board pitches" in evaluation.notes[0]
 
 
+def test_a_rig_is_compared_with_the_truth_of_a_scene(fakes, truth):
+    calibration = app.calibrate_images("l", "r", BOARD).calibration
+    of_scene = replace(truth, board=None, scene="street")
+    evaluation = app.evaluate_truth(calibration, of_scene)
+    assert evaluation.comparison.translation_error_mm < 1e-9 and not evaluation.comparison.has_bound
+    assert evaluation.criteria == () and "no board" in evaluation.notes[0]
+    in_baselines = replace(calibration, rig=replace(scaled(fakes.rig, 1 / fakes.rig.baseline_m), is_metric=False))
+    evaluation = app.evaluate_truth(in_baselines, of_scene)
+    assert evaluation.comparison.translation_error_mm < 1e-9 and "truth's baseline" in evaluation.notes[0]
+
+
 def test_images_are_evaluated_without_truth(fakes):
     evaluation = app.evaluate_images(fakes.rig, "l", "r", BOARD)
     assert evaluation.pixel_error.all_px < 1e-9 and evaluation.length_error.scale_rms_percent < 1e-7

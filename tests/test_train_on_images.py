@@ -12,6 +12,8 @@ from binocal import app
 from binocal.boards import parse_board
 from binocal.cli import main
 from binocal.errors import DataError, TooFewViewsError
+from binocal.formats import rig_json
+from binocal.geometry import SE3
 from binocal.simulation import table2_rig
 
 BOARD = parse_board("chessboard:8x5:20mm")
@@ -67,6 +69,15 @@ def test_a_folder_says_which_board_it_shows(tmp_path):
     assert app.board_of_folder(tmp_path) == BOARD
     (tmp_path / "other.yml").write_text("board: chessboard:9x5:20mm")
     with pytest.raises(DataError, match=r"more than one \(other\.yml, target\.yaml\)"):
+        app.board_of_folder(tmp_path)
+
+
+def test_images_of_a_street_show_no_board(tmp_path):
+    rig_json.write_truth(
+        tmp_path / "truth.json",
+        rig_json.Truth(table2_rig(), None, ("0",), SE3(np.eye(3)[None], np.zeros((1, 3))), scene="street"),
+    )
+    with pytest.raises(DataError, match="show no board"):
         app.board_of_folder(tmp_path)
 
 

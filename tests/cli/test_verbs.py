@@ -195,6 +195,10 @@ def test_a_bug_is_not_dressed_up(fakes, capsys):
         [*CALIBRATE[:-1], "chess"],
         ["simulate", "--board", "chessboard:11x8", "--pairs", "2", "--output", "out"],
         ["simulate", "--board", "chessboard:11x8:10mm", "--pairs", "0", "--output", "out"],
+        ["simulate", "--pairs", "2", "--output", "out"],
+        ["simulate", "--board", "chessboard:11x8:10mm", "--scene", "street", "--pairs", "2", "--output", "out"],
+        ["simulate", "--board", "chessboard:11x8:10mm", "--gap", "5", "--pairs", "2", "--output", "out"],
+        ["simulate", "--scene", "moon", "--pairs", "2", "--output", "out"],
         ["evaluate", "rig.json"],
         ["evaluate", "rig.json", "--truth", "t.json", "--left", "l"],
         ["evaluate", "rig.json", "--left", "l", "--right", "r"],
@@ -339,7 +343,7 @@ def test_two_outputs_are_two_files(fakes, capsys, options):
 
 
 @pytest.mark.parametrize("value", ["inf", "nan", "1e400", "-inf"])
-@pytest.mark.parametrize("option", ["--blur", "--noise"])
+@pytest.mark.parametrize("option", ["--blur", "--noise", "--gap"])
 def test_numbers_of_a_simulation_are_finite(fakes, capsys, option, value):
     assert main(["simulate", "--board", "chessboard:11x8:10mm", "--pairs", "2", "--output", "o", option, value]) == 2
     assert capsys.readouterr().err.count("\n") == 1 and os.listdir() == []

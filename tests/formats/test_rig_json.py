@@ -120,6 +120,22 @@ def test_truth_comes_back_whole(tmp_path):
     assert_same_rig(rig_json.read_rig(tmp_path / "truth.json"), truth.rig)
 
 
+def test_the_truth_of_a_scene_comes_back_whole(tmp_path):
+    poses = make_poses(2, np.random.default_rng(0))
+    truth = rig_json.Truth(make_rig(), None, ("00", "01"), poses, 3.0, 0.8, "street", 0.02)
+    rig_json.write_truth(tmp_path / "truth.json", truth)
+    back = rig_json.read_truth(tmp_path / "truth.json")
+    assert back.board is None and back.scene == "street" and back.gap_s == 0.02 and back.names == truth.names
+    assert_same_rig(rig_json.read_rig(tmp_path / "truth.json"), truth.rig)
+    document = json.loads((tmp_path / "truth.json").read_text())
+    for key, wrong in (("scene", 3), ("scene", ""), ("gap_s", "long")):
+        (tmp_path / "truth.json").write_text(json.dumps(document | {key: wrong}))
+        with pytest.raises(FormatError, match=f"'{key}'"):
+            rig_json.read_truth(tmp_path / "truth.json")
+    with pytest.raises(ValueError, match="of a board or of a scene"):
+        rig_json.Truth(make_rig(), None, ("00", "01"), poses)
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

@@ -85,7 +85,9 @@ def test_wrong_matches_are_wrong_as_their_kind_says(kind):
     )
     assert found.is_right.sum() == 300
     _, residuals = residuals_px(found)
-    assert np.abs(residuals[found.is_right]).max() < 0.3 < np.median(np.abs(residuals[~found.is_right]))
+    assert np.abs(residuals[found.is_right]).max() < 0.3
+    away = np.median(np.abs(residuals[~found.is_right]))
+    assert 0.05 < away < 0.3 if kind == "row" else away > 0.3  # what repeats along the row stays near its epipolar line
     wrong = found.matches.select(~found.is_right)
     spread = np.ptp(wrong.left_px, axis=0) / camera.size_wh
     is_regional = kind in ("row", "slope", "moving")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from binocal.app.calibrate import CalibrationRun, calibrate_images
 from binocal.app.demo import DemoCase, demo
 from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_images, evaluate_truth
-from binocal.app.simulate import SimulateOptions, simulate
+from binocal.app.simulate import SimulateOptions, simulate, simulate_scene
 from binocal.app.train import TrainedAgent, TrainRequest, board_of_folder, train
 from binocal.calibrators.base import CalibrationRequest
 
@@ -28,5 +28,6 @@ __all__ = [
     "evaluate_images",
     "evaluate_truth",
     "simulate",
+    "simulate_scene",
     "train",
 ]

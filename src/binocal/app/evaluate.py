@@ -57,13 +57,22 @@ def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, see
     """
     rig, notes = calibration.rig, []
     sigma = calibration.covariance.sigma
-    if not rig.is_metric:
-        scale = truth.board.pitch_m
+    if truth.rig.is_metric and not rig.is_metric:
+        if truth.board is not None:
+            scale = truth.board.pitch_m
+            notes.append("the rig is in board pitches; it was scaled by the pitch of the truth's board.")
+        else:
+            scale = truth.rig.baseline_m / rig.baseline_m
+            notes.append("the rig has no length; it was given the truth's baseline.")
         rig = pose.scaled(rig, scale)
         sigma = {name: s * scale if name.startswith("translation.") else s for name, s in sigma.items()}
-        notes.append("the rig is in board pitches; it was scaled by the pitch of the truth's board.")
     has_skew = "left.skew" in calibration.covariance.names
-    bounded = _bound(calibration, truth, has_skew, notes)
+    if truth.board is None:
+        notes.append("no bound and no criteria on views: the images showed no board.")
+        return TruthEvaluation(
+            pose.compare_with_truth(rig, truth.rig, sigma=sigma, has_skew=has_skew), np.nan, tuple(notes)
+        )
+    bounded = _bound(calibration, truth, truth.board, has_skew, notes)
     bound = None if bounded is None else bounded[1]
     comparison = pose.compare_with_truth(rig, truth.rig, sigma=sigma, bound=bound, has_skew=has_skew)
     exact, T_left_board = exact_views(truth.rig, truth.board, EXACT_VIEWS, seed)
@@ -137,7 +146,7 @@ def _evaluate_detections(
 
 
 def _bound(
-    calibration: StereoCalibration, truth: rig_json.Truth, has_skew: bool, notes: list[str]
+    calibration: StereoCalibration, truth: rig_json.Truth, board: Board, has_skew: bool, notes: list[str]
 ) -> tuple[StereoRig, Covariance] | None:
     """The true rig in the camera model that was estimated, and the Cramér-Rao bound there; None, with a note, without one."""
     from binocal.solvers.covariance import cramer_rao_bound
@@ -160,7 +169,7 @@ def _bound(
         return None
     rig = replace(truth.rig, left=left, right=right)
     poses = truth.T_left_board[chosen]
-    points = truth.board.object_points_m
+    points = board.object_points_m
     try:
         bound = cramer_rao_bound(
             rig,

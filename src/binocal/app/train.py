@@ -131,7 +131,10 @@ def board_of_folder(folder: str | Path) -> Board:
     """
     truth, boards = Path(folder) / "truth.json", {}
     if truth.exists():
-        return rig_json.read_truth(truth).board
+        board = rig_json.read_truth(truth).board
+        if board is None:
+            raise DataError(f"{folder}: its images show no board; give a folder of images of one.")
+        return board
     for path in sorted([*Path(folder).glob("*.yaml"), *Path(folder).glob("*.yml")]):
         with contextlib.suppress(FormatError):
             boards[path.name] = load_board(str(path))

@@ -60,6 +60,12 @@ def _fisheye(**options: Any) -> dict[str, Any]:
     return run_fisheye_benchmark(**options)
 
 
+def _natural(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.natural import run_natural_benchmark
+
+    return run_natural_benchmark(**options)
+
+
 def _pipeline(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.pipeline import run_pipeline_benchmark
 
@@ -104,6 +110,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "drift": _drift,
     "faults": _faults,
     "fisheye": _fisheye,
+    "natural": _natural,
     "pipeline": _pipeline,
     "precision": _precision,
     "real": _real,

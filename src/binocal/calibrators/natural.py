@@ -8,7 +8,7 @@ The length of the translation is never told by matches.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
@@ -61,6 +61,7 @@ ASSUMED_DISTORTION = {"k1": 8e-4, "k2": 1.6e-3, "p1": 5e-5, "p2": 5e-5}
 """What intrinsics are uncertain by where nobody says: as a good calibration from a board leaves them."""
 MIN_SIDE_SHARE = 0.1  # of clear points: with fewer on either side, they do not lie on both
 NEAR_NOISE = 3.0
+KEPT_ROUNDS = 3
 KEPT_STEPS = 5  # pairs of steps under the last kernel
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
 """Of the noise, and so many matches, for the direction of the translation to be told at all."""
@@ -147,10 +148,22 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     of_cameras = intrinsics_covariance(request.cameras, request.intrinsics)
     slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
     rng = np.random.default_rng(request.seed)
-    covariance, random = _covariance(solved, request, of_cameras, slopes, rng)
-    if _all_far(problem.select(solved.is_right), estimate, noise_px):
-        covariance[[3, 4], [3, 4]] += np.radians(90.0) ** 2
-    estimate, covariance, kept = _with_untold_kept(problem, estimate, covariance, noise_px, request)
+    covariance, random = _covariance(solved, request, of_cameras, slopes)
+    kept: list[Finding] = []
+    untold = _untold_part(covariance)
+    if untold is not None:
+        kept.append(_untold_finding(covariance, is_kept=request.old is not None))
+        if request.old is None:
+            raise refusal(kept[0])
+        for _ in range(KEPT_ROUNDS):  # what a scene tells depends on the pose at which it is asked
+            estimate = _kept(problem, untold, RelativePose.of(request.old), noise_px)
+            equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
+            solved = replace(solved, estimate=estimate, equations=equations)
+            slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
+            covariance, random = _covariance(solved, request, of_cameras, slopes)
+            again = _untold_part(covariance)
+            untold = untold if again is None else again
+        covariance = _limited(covariance)
     regions = regions_of(matches.left_px, request.cameras[0].size_wh)
     ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, slopes), rng)
     direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))
@@ -210,10 +223,13 @@ def _covariance(
     request: NaturalRequest,
     of_cameras: Float[ndarray, "p p"],
     slopes: Float[ndarray, "n p"],
-    rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]]:
     """Of the five unknowns and both cameras' parameters together; and the part of the former that other images would have anew."""
-    own = covariance_by_regions(solved.equations, regions_of(solved.matches.left_px, request.cameras[0].size_wh), rng)
+    own = covariance_by_regions(
+        solved.equations,
+        regions_of(solved.matches.left_px, request.cameras[0].size_wh),
+        np.random.default_rng(request.seed),
+    )
     noise = covariance_of_noise(solved.equations, solved.noise_px)
     grow = np.sqrt(np.maximum(np.diagonal(noise) / np.maximum(np.diagonal(own), 1e-300), 1.0))
     own = own * np.outer(grow, grow)
@@ -223,6 +239,8 @@ def _covariance(
     whole[:5, 5:] = A @ of_cameras
     whole[5:, :5] = whole[:5, 5:].T
     whole[5:, 5:] = of_cameras
+    if _all_far(solved.problem.select(solved.is_right), solved.estimate, solved.noise_px):
+        whole[[3, 4], [3, 4]] += np.radians(90.0) ** 2
     return whole, own
 
 
@@ -255,38 +273,37 @@ def intrinsics_covariance(cameras: tuple[Camera, Camera], known: Covariance | No
     return out
 
 
-def _with_untold_kept(
-    problem: EpipolarProblem,
-    estimate: RelativePose,
-    covariance: Float[ndarray, "q q"],
-    noise_px: float,
-    request: NaturalRequest,
-) -> tuple[RelativePose, Float[ndarray, "q q"], list[Finding]]:
-    """What the scene does not tell at its old value, and that it was so.
+UNIT = np.radians([UNTOLD_TURN_DEG] * 3 + [UNTOLD_DIRECTION_DEG] * 2)
 
-    Raises DegenerateGeometryError where there is no old value.
-    """
-    unit = np.radians([UNTOLD_TURN_DEG] * 3 + [UNTOLD_DIRECTION_DEG] * 2)
-    values, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(unit, unit))
-    untold = values > 1.0
-    if not untold.any():
-        return estimate, covariance, []
-    axes = vectors[:, untold]
-    weights = np.abs(unit[:, None] * axes).max(axis=1)
+
+def _untold_part(covariance: Float[ndarray, "q q"]) -> Float[ndarray, "5 k"] | None:
+    """Directions of the five unknowns, in :data:`UNIT`, that the scene does not tell, at right angles; None if it tells all."""
+    values, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
+    return vectors[:, values > 1.0] if values[-1] > 1.0 else None
+
+
+def _untold_finding(covariance: Float[ndarray, "q q"], *, is_kept: bool) -> Finding:
+    _, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
     sigma = np.degrees(np.sqrt(np.diagonal(covariance)[:5]))
     words = ("pitch", "yaw", "roll", "the direction of T", "the direction of T")
-    what = words[int(np.argmax(weights / unit))]
-    figures = {"what": what, "turn_sigma_deg": float(sigma[:3].max()), "direction_sigma_deg": float(sigma[3:].max())}
-    if request.old is None:
-        raise refusal(finding("scene-tells-too-little", **figures))
-    old = RelativePose.of(request.old)
-    told = unit[:, None] * vectors[:, ~untold]
-    away = estimate.step_to(old) / unit
-    current = _refined_along(problem, estimate.stepped(unit * (axes @ (axes.T @ away))), told, noise_px)
-    moved = np.array(covariance)
-    keep = (unit[:, None] * axes) @ np.diag(np.minimum(values[untold], 1.0)) @ (unit[:, None] * axes).T
-    moved[:5, :5] = told @ np.diag(values[~untold]) @ told.T + keep
-    return current, moved, [finding("scene-tells-too-little-kept", **figures)]
+    code = "scene-tells-too-little-kept" if is_kept else "scene-tells-too-little"
+    what = words[int(np.argmax(np.abs(vectors[:, -1])))]
+    return finding(code, what=what, turn_sigma_deg=float(sigma[:3].max()), direction_sigma_deg=float(sigma[3:].max()))
+
+
+def _kept(problem: EpipolarProblem, untold: Float[ndarray, "5 k"], old: RelativePose, noise_px: float) -> RelativePose:
+    """The best pose that agrees with the old one in what the scene does not tell."""
+    told = np.linalg.svd(untold, full_matrices=True)[0][:, untold.shape[1] :]
+    return _refined_along(problem, old, UNIT[:, None] * told, noise_px)
+
+
+def _limited(covariance: Float[ndarray, "q q"]) -> Float[ndarray, "q q"]:
+    """What was kept is taken to be known to one unit: the old rig's own uncertainty is not asked for."""
+    values, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
+    scaled = UNIT[:, None] * vectors
+    limited = np.array(covariance)
+    limited[:5, :5] = scaled @ np.diag(np.minimum(values, 1.0)) @ scaled.T
+    return limited
 
 
 def _refined_along(

@@ -286,7 +286,6 @@ def calibrate(
 
 @app.command()
 def simulate(
-    board: BoardSpec,
     pairs: Annotated[int, typer.Option("--pairs", help="Number of image pairs.", metavar="N", min=1, max=1_000_000)],
     output: Annotated[Path, typer.Option("--output", help="Folder for the images and truth.json.", metavar="DIR")],
     rig: Annotated[
@@ -309,22 +308,43 @@ def simulate(
             "--noise", help="Sensor noise, grey levels of 255.", metavar="DN", min=0.0, max=255.0, callback=_finite
         ),
     ] = 3.0,
+    board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    scene: Annotated[
+        str | None, typer.Option("--scene", help="In place of a board: street or room.", metavar="NAME")
+    ] = None,
+    gap: Annotated[
+        float,
+        typer.Option(
+            "--gap",
+            help="For scenes: the right camera exposes so many milliseconds later.",
+            metavar="MS",
+            min=-1e4,
+            max=1e4,
+            callback=_finite,
+        ),
+    ] = 0.0,
     seed: Seed = 0,
     threads: Threads = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Render images of a board as a rig sees it, with the exact truth beside them."""
+    """Render images of a board, a street or a room as a rig sees it, with the exact truth beside them."""
     from binocal import app as verbs
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
 
-    parsed = _parse_board(board)
-    if not parsed.is_metric:
+    if (board is None) == (scene is None):
+        raise typer.BadParameter("give either --board SPEC or --scene street|room.")
+    if gap and scene is None:
+        raise typer.BadParameter("--gap belongs to --scene: boards stand still.")
+    parsed = None if board is None else _parse_board(board)
+    if parsed is not None and not parsed.is_metric:
         raise typer.BadParameter("a simulated board needs its size: give the length a unit, such as 20mm.")
+    if scene is not None:
+        _one_of("--scene", scene, ("street", "room"))
     check_output_folder(output, force=force)
-    options = verbs.SimulateOptions(blur, noise, seed)
+    options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap)
     if rig == "table2":
         from binocal.simulation import table2_rig
 
@@ -334,7 +354,10 @@ def simulate(
 
         true_rig = load_rig(rig)
     with progress_on_terminal() as progress:
-        truth = verbs.simulate(true_rig, parsed, pairs, output, options, force=force, progress=progress)
+        if parsed is not None:
+            truth = verbs.simulate(true_rig, parsed, pairs, output, options, force=force, progress=progress)
+        else:
+            truth = verbs.simulate_scene(true_rig, str(scene), pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"
     _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
     return FINE

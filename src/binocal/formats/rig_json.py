@@ -51,19 +51,24 @@ UNITS = {True: "m", False: "board pitch"}
 class Truth:
     """What a simulation knows of its images: the rig, the board, and where the board stood in every view.
 
-    ``noise_dn`` (grey levels) and ``blur_px`` say how the images were rendered; NaN where there are none.
+    Without a board, ``scene`` says what was shown, and the poses are those of the scene's world. ``noise_dn`` (grey levels) and
+    ``blur_px`` say how the images were rendered; NaN where there are none. ``gap_s``: by which the right exposures came later.
     """
 
     rig: StereoRig
-    board: Board
+    board: Board | None
     names: tuple[str, ...]
     T_left_board: SE3
     noise_dn: float = math.nan
     blur_px: float = math.nan
+    scene: str = ""
+    gap_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.T_left_board.t.shape != (len(self.names), 3):
             raise ValueError(f"{len(self.names)} names for board poses of shape {self.T_left_board.t.shape}")
+        if (self.board is None) == (not self.scene):
+            raise ValueError("the truth is of a board or of a scene")
 
 
 def rig_document(rig: StereoRig) -> dict[str, Any]:
@@ -167,8 +172,12 @@ def truth_document(truth: Truth) -> dict[str, Any]:
     """``truth.json`` as a dictionary that holds only what JSON can say."""
     return jsonable(
         rig_document(truth.rig)
+        | (
+            {"scene": truth.scene, "gap_s": truth.gap_s}
+            if truth.board is None
+            else {"board": format_board(truth.board)}
+        )
         | {
-            "board": format_board(truth.board),
             "views": [
                 {"name": name, "R": R, "T": t}
                 for name, R, t in zip(truth.names, truth.T_left_board.R, truth.T_left_board.t, strict=True)
@@ -289,10 +298,16 @@ def read_truth(path: str | Path) -> Truth:
     """The truth that a simulation wrote. Raises as :func:`read_rig`."""
     top = load_document(path, SCHEMA)
     views = top.mappings("views")
-    try:
-        board = parse_board(top.text("board"))
-    except ValueError as error:
-        raise FormatError(path, f"key 'board': {error}") from None
+    scene, gap_s, board = "", 0.0, None
+    if "scene" in top.value:
+        scene, gap_s = top.text("scene"), top.number("gap_s")
+        if not scene:
+            raise top.fail("scene", "the name of a scene")
+    else:
+        try:
+            board = parse_board(top.text("board"))
+        except ValueError as error:
+            raise FormatError(path, f"key 'board': {error}") from None
     return Truth(
         rig=_parse_rig(top),
         board=board,
@@ -300,6 +315,8 @@ def read_truth(path: str | Path) -> Truth:
         T_left_board=_parse_poses(views),
         noise_dn=top.number("noise_dn", allow_null=True),
         blur_px=top.number("blur_px", allow_null=True),
+        scene=scene,
+        gap_s=gap_s,
     )
 
 

@@ -26,9 +26,10 @@ from binocal.simulation.matches import (
     simulate_matches,
 )
 from binocal.simulation.noise import add_outliers, drop_corners, simulate_detections
-from binocal.simulation.pairs import render_pairs
+from binocal.simulation.pairs import render_pairs, render_scene_pairs
 from binocal.simulation.renderer import RenderedImage, RenderOptions, render_image, render_light
 from binocal.simulation.rigs import random_rig, table2_rig
+from binocal.simulation.scene_renderer import SceneOptions, render_scene_image
 from binocal.simulation.scenes import (
     PoseOptions,
     StereoScene,
@@ -37,18 +38,23 @@ from binocal.simulation.scenes import (
     sample_board_poses,
     sample_scene,
 )
+from binocal.simulation.textured_scenes import TEXTURED_SCENES, TexturedScene, draw_textured_scene
 from binocal.simulation.visibility import visible_px
 
 __all__ = [
+    "TEXTURED_SCENES",
     "WRONG_KINDS",
     "MatchDistribution",
     "MatchProblems",
     "PoseOptions",
     "RenderOptions",
     "RenderedImage",
+    "SceneOptions",
     "SimulatedMatches",
     "StereoScene",
+    "TexturedScene",
     "add_outliers",
+    "draw_textured_scene",
     "drop_corners",
     "drop_view",
     "exchange_columns_and_rows",
@@ -63,6 +69,8 @@ __all__ = [
     "render_image",
     "render_light",
     "render_pairs",
+    "render_scene_image",
+    "render_scene_pairs",
     "repeat_view",
     "same_pose",
     "sample_board_poses",

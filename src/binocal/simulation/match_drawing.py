@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from binocal.geometry import SE3
+from binocal.geometry import SE3, so3
 from binocal.shapes import Bool, Float, Int
 from binocal.simulation.surroundings import ScenePlanes
 
 WRONG_KINDS = ("uniform", "window", "row", "slope", "moving")
-"""Anywhere in the image; anywhere near the right place; some periods off along the row (a fence, windows); all of one region off by one
-sloping shift (stairs, a railing); an object that moved between the exposures. The last three come with the noise of right matches."""
+"""Anywhere in the image; anywhere near the right place; in one region some periods off along the row (a fence, windows, level with the
+rig to a degree); in one region all off by one sloping shift (stairs, a railing); an object that moved between the exposures. The last
+three come with the noise of right matches."""
 RIGHT, ABSENT = -1, -2
 _ROUNDS = 12  # of drawing points until both cameras see them; what is left then stays absent
 
@@ -85,32 +86,40 @@ class MatchDrawer:
         nearer = self.planes.surface_m(which, rays) * structure.object_share[which]
         reach = np.where(of["moving"], nearer * rng.uniform(0.95, 1.05, len(which)), reach)
         reach = np.where(np.isfinite(reach), reach, np.nan)  # rays that meet nothing show nothing
-        points = rays * reach[:, None] + (reach * of["moving"])[:, None] * structure.motion[which]
         T = self.T_right_left
+        periods = rng.integers(1, 4, len(which)) * rng.choice([-1, 1], len(which))
+        moved = (periods * of["row"] * structure.period[which])[:, None] * self._level(structure)[which]
+        moved += of["moving"][:, None] * structure.motion[which]
+        points = reach[:, None] * (rays + moved)
         points = np.einsum("nij,nj->ni", T.R[which], points) + T.t[which]
         right = self.project(which, points)
         width = self.right_size_wh[which, :1]
-        periods = rng.integers(1, 4, len(which)) * rng.choice([-1, 1], len(which))
-        for name, shift in (
-            ("window", structure.window[which, None] * rng.uniform(-1, 1, (len(which), 2))),
-            ("row", structure.period[which, None] * periods[:, None] * [1.0, 0.0]),
-            ("slope", structure.shift[which]),
-        ):
+        near = structure.window[which, None] * rng.uniform(-1, 1, (len(which), 2))
+        for name, shift in (("window", near), ("slope", structure.shift[which])):
             right = np.where(of[name][:, None], right + shift * width, right)
         anywhere = rng.random((len(which), 2)) * self.right_size_wh[which] - 0.5
         right = np.where(of["uniform"][:, None], anywhere, right)
         noise = self.noise_px[which, None, None] * rng.standard_normal((len(which), 2, 2))
         return left + noise[:, 0], right + noise[:, 1]
 
+    def _level(self, structure: WrongStructure) -> Float[ndarray, "problems 3"]:
+        """The direction in which things repeat: that from the left to the right camera, left frame, a little tilted."""
+        T = self.T_right_left
+        along = np.einsum("nji,nj->ni", T.R, T.t)
+        along /= -np.linalg.norm(along, axis=1, keepdims=True)
+        return np.einsum("nij,nj->ni", so3.exp(structure.tilt_rad), along)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrongStructure:
-    """What the wrong matches of one problem have in common. All lengths in widths or sizes of the image."""
+    """What the wrong matches of one problem have in common. Lengths are shares of the image's width, or of its sides for regions."""
 
     corner: Float[ndarray, "problems 2"]
     extent: Float[ndarray, "problems 2"]
     window: Float[ndarray, "problems"]
     period: Float[ndarray, "problems"]
+    """In distances of what repeats."""
+    tilt_rad: Float[ndarray, "problems 3"]
     shift: Float[ndarray, "problems 2"]
     object_share: Float[ndarray, "problems"]
     """The distance of the moving object, as a share of what is behind it."""
@@ -130,6 +139,7 @@ class WrongStructure:
             extent,
             rng.uniform(0.01, 0.05, n),
             rng.uniform(0.01, 0.05, n),
+            np.radians(1.0) * rng.standard_normal((n, 3)),
             shift,
             rng.uniform(0.3, 0.9, n),
             motion,

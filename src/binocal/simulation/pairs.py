@@ -8,10 +8,16 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 import numpy as np
 from numpy import ndarray
 
+from binocal.cameras import StereoRig
 from binocal.shapes import UInt
 from binocal.simulation.renderer import RenderOptions, render_image
+from binocal.simulation.scene_renderer import SceneOptions, render_scene_image
 from binocal.simulation.scenes import StereoScene
+from binocal.simulation.textured_scenes import TexturedScene
 from binocal.threads import n_threads
+
+RenderOne = Callable[[int, int, np.random.Generator], UInt[ndarray, "h w"]]
+"""The image of a view by camera 0 (left) or 1."""
 
 
 def render_pairs(
@@ -20,24 +26,48 @@ def render_pairs(
     seed: np.random.SeedSequence,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[int, str, UInt[ndarray, "h w"]]]:
-    """(view, ``left`` or ``right``, image) of every view of a scene, in the order in which they get done.
-
-    Each image has a random stream of its own. A consumer that stops early ends the rendering.
-    """
+    """(view, ``left`` or ``right``, image) of every view of a board, in the order in which they get done."""
     rig, T_left_board = scene.rig, scene.T_left_board
-    n_views = len(T_left_board.t)
-    sides = (("left", rig.left, T_left_board), ("right", rig.right, rig.T_right_left @ T_left_board))
+    sides = ((rig.left, T_left_board), (rig.right, rig.T_right_left @ T_left_board))
+
+    def render(view: int, side: int, rng: np.random.Generator) -> UInt[ndarray, "h w"]:
+        camera, T_camera_board = sides[side]
+        return render_image(camera, T_camera_board[view], scene.board, options, rng).image
+
+    return _render_all(render, len(T_left_board.t), seed, progress)
+
+
+def render_scene_pairs(
+    rig: StereoRig,
+    scene: TexturedScene,
+    options: SceneOptions,
+    seed: np.random.SeedSequence,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[tuple[int, str, UInt[ndarray, "h w"]]]:
+    """The same of a scene without a board, the right images ``options.gap_s`` after the left ones."""
+    T_left_world = scene.T_left_world
+    sides = ((rig.left, T_left_world, 0.0), (rig.right, rig.T_right_left @ T_left_world, options.gap_s))
+
+    def render(pair: int, side: int, rng: np.random.Generator) -> UInt[ndarray, "h w"]:
+        camera, T_camera_world, elapsed_s = sides[side]
+        return render_scene_image(scene, pair, camera, T_camera_world[pair], options, rng, elapsed_s)
+
+    return _render_all(render, scene.n_pairs, seed, progress)
+
+
+def _render_all(
+    render: RenderOne, n_views: int, seed: np.random.SeedSequence, progress: Callable[[int, int], None] | None
+) -> Iterator[tuple[int, str, UInt[ndarray, "h w"]]]:
+    """Each image has a random stream of its own. A consumer that stops early ends the rendering."""
     seeds = seed.spawn(2 * n_views)
 
-    def render(job: tuple[int, int]) -> tuple[int, str, UInt[ndarray, "h w"]]:
-        view, index = job
-        side, camera, T_camera_board = sides[index]
-        rng = np.random.default_rng(seeds[2 * view + index])
-        return view, side, render_image(camera, T_camera_board[view], scene.board, options, rng).image
+    def one(job: tuple[int, int]) -> tuple[int, str, UInt[ndarray, "h w"]]:
+        view, side = job
+        return view, ("left", "right")[side], render(view, side, np.random.default_rng(seeds[2 * view + side]))
 
-    jobs = [(view, index) for index in range(2) for view in range(n_views)]
+    jobs = [(view, side) for side in range(2) for view in range(n_views)]
     with ThreadPoolExecutor(n_threads()) as pool:
-        futures = [pool.submit(render, job) for job in jobs]
+        futures = [pool.submit(one, job) for job in jobs]
         try:
             for done, future in enumerate(as_completed(futures), 1):
                 yield future.result()

@@ -27,6 +27,7 @@ from binocal.geometry import SE3
 from binocal.shapes import Bool, Float, UInt
 from binocal.simulation.background import draw_background
 from binocal.simulation.coverage import Footprint, Sheet, sheet_of
+from binocal.simulation.imaging import rays_of_pixels, read_out, through_lens
 from binocal.simulation.layout import printed_extent_m, sheet_margin
 from binocal.simulation.optics import blur_image, blur_kernel
 from binocal.simulation.visibility import field_angle_rad, visible_px
@@ -100,12 +101,7 @@ def render_image(
         ValueError: The camera looks at the back of the board, or the board cannot be printed.
     """
     light = render_light(camera, T_camera_board, board, options, rng)
-    if options.gamma != 1:
-        light = 255 * (light / 255) ** (1 / options.gamma)
-    if options.noise_dn > 0:
-        light = light + np.float32(options.noise_dn) * rng.standard_normal(light.shape, dtype=np.float32)
-    scale, dtype = (257, np.uint16) if options.bit_depth == 16 else (1, np.uint8)
-    image = np.rint(np.clip(light * scale, 0, 255 * scale)).astype(dtype)
+    image = read_out(light, rng, noise_dn=options.noise_dn, gamma=options.gamma, bit_depth=options.bit_depth)
     return RenderedImage(image, visible_px(camera, T_camera_board.apply(board.object_points_m)))
 
 
@@ -125,7 +121,7 @@ def render_light(
     kernel = blur_kernel(options.blur_px, options.blur_kind, options.motion_px, least_px=_SPREAD_PX)
     rest = kernel.without(_SPREAD_PX**2 - 1 / (12 * _FINE**2))
     apron = 8 * (kernel.reach_px // 8 + 1)  # steps of 8, so that the rays serve other blurs too
-    rays = _cached_rays(camera.model, camera.size_wh, camera.parameters.tobytes(), apron)
+    rays = rays_of_pixels(camera, apron)
     light = blur_image(
         draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn), kernel, scale=1
     )
@@ -152,22 +148,7 @@ def render_light(
             max(first_column, 0) : max(first_column, 0) + coverage.shape[1],
         ]
         light[target] = board_light + (1 - coverage) * light[target]
-    return _through_lens(light, camera, rays[2, apron + 1 : -apron - 1, apron + 1 : -apron - 1], options.vignetting)
-
-
-@lru_cache(maxsize=2)  # a stereo pair; 30 MB each at 1280 x 960
-def _cached_rays(model: str, size_wh: tuple[int, int], parameters: bytes, apron: int) -> Float[ndarray, "3 h w"]:
-    """Unit ray of every pixel and of ``apron`` + 1 pixels around the image; NaN where there is none."""
-    camera = Camera(model, size_wh, np.frombuffer(parameters))
-    width, height = size_wh
-    rim = apron + 1
-    u = np.arange(-rim, width + rim, dtype=float)
-    rays = np.empty((3, height + 2 * rim, width + 2 * rim))
-    for first in range(0, height + 2 * rim, 16):  # blocks that stay in the processor's cache
-        v = np.arange(first, min(first + 16, height + 2 * rim), dtype=float) - rim
-        block = camera.unproject(np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
-        rays[:, first : first + 16] = np.moveaxis(block, -1, 0)
-    return rays
+    return through_lens(light, camera, rays[2, apron + 1 : -apron - 1, apron + 1 : -apron - 1], options.vignetting)
 
 
 @lru_cache(maxsize=8)
@@ -273,17 +254,3 @@ def _expand(x: Float[ndarray, "h w"], y: Float[ndarray, "h w"], rows: ndarray, c
         at = n[0, 0] + z_u * du + z_v * dv + 0.5 * z_uu * du**2 + 0.5 * z_vv * dv**2 + z_uv * du * dv
         values += [at, z_u, z_v]
     return Footprint(values[0], values[3], values[1], values[2], values[4], values[5])
-
-
-def _through_lens(
-    light: Float[ndarray, "h w"], camera: Camera, ray_z: Float[ndarray, "h w"], vignetting: float
-) -> Float[ndarray, "h w"]:
-    """Light after vignetting; black where the lens shows nothing."""
-    if vignetting > 0:
-        width, height = camera.size_wh
-        _, _, cx, cy = camera.parameters[:4]
-        u, v = np.arange(width) - cx, np.arange(height) - cy
-        corner = np.hypot(width, height) / 2
-        light = light * (1 - vignetting * ((u / corner) ** 2 + (v[:, None] / corner) ** 2)).clip(0).astype(np.float32)
-    has_ray = np.isfinite(ray_z)
-    return light if has_ray.all() else np.where(has_ray, light, np.float32(0))
