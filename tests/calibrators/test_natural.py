@@ -132,9 +132,9 @@ def test_matches_are_checked():
         PointMatches.joined([two, replace(two, left_size_wh=(10, 10))])
 
 
-@pytest.mark.parametrize("family", ["street", "room", "plane"])
+@pytest.mark.parametrize("family", ["street", "room"])
 def test_the_right_minimum_is_found_beside_wrong_matches_of_all_kinds(family):
-    """From 5 degrees off in rotation and direction; from the old rig alone, without further starts and a prior, 1 to 4 of 6 fail."""
+    """From 5 degrees off in rotation and direction."""
     for seed in range(6):
         rng = np.random.default_rng([seed, 11])
         found = simulate_matches(RIG, 300, rng, family=family, noise_px=0.1, wrong_share=0.15)

@@ -43,7 +43,7 @@ def shown(rig, kind, seed=0, **options):
 @pytest.mark.parametrize("kind", ["street", "room"])
 def test_matches_of_rendered_pairs_lie_on_the_true_epipolar_lines(cameras, kind):
     rig = StereoRig(*cameras, T)
-    matches = match_pair(*shown(rig, kind, noise_dn=1.0), "0")
+    matches = match_pair(*shown(rig, kind, noise_dn=1.0), "0").matches
     problem, _ = EpipolarProblem.of_matches(cameras, matches)
     residuals = problem.residuals_px(RelativePose.of(T))
     right = residuals[np.abs(residuals) < 0.5]
