@@ -38,7 +38,7 @@ AROUND_BEST, AROUND_BEST_DEG = 6, 3.0
 AROUND_OLD_PX, AROUND_BEST_PX = SCHEDULE_PX[2:], (2.0, 1.0, 0.5)
 N_MATCHES = 400  # that starts compete on; more tell the noise better, not the minimum
 LEAST_NEAR = 8  # matches within a few pixels, for an end to be looked at
-JUDGED_NOISE, MOST_JUDGED_PX = 3.0, 1.0
+COMPARED_NOISE, MOST_COMPARED_PX = 3.0, 1.0
 """The kernel's scale for the comparison, over the least noise of all ends; match noise is known to lie below 1 px."""
 
 Guess = Callable[[PointMatches], SE3 | None]
@@ -99,7 +99,7 @@ def _best(
     """The lowest cost, among those near the old rig if any is."""
     near = ends if old is None else [end for end in ends if _is_near(old, end[0])] or ends
     noise_px = max(min(float(minimum.scale_px) for minimum, _ in near), NOISE_FLOOR_PX)
-    scale_px = min(JUDGED_NOISE * noise_px, MOST_JUDGED_PX)
+    scale_px = min(COMPARED_NOISE * noise_px, MOST_COMPARED_PX)
     return min(near, key=lambda end: cost_at(problem, end[0].estimate, scale_px))
 
 
