@@ -3,7 +3,8 @@
 Wrong matches leave false minima, along the direction of the translation above all, which matches tell least: a kernel of 64 px lets a few
 wrong ones pull it by tens of degrees. So an old rig holds the descent as a prior where matches are silent, further starts lie around it
 and around the best end, and ends compete under a kernel of the least noise that any of them leaves. Measured on simulated matches with
-15 % wrong of all kinds, start 5 degrees off: the right minimum in 85 % without all this, in 98 % with it; 40 % wrong: 75 and 90 %.
+wrong ones of all kinds, start 5 degrees off (``bench natural``): the right minimum in 98 % at 15 % wrong and in 94 % at 40 %, where the
+best of four schedules from the old rig finds 74 and 73 %.
 """
 
 from __future__ import annotations
