@@ -163,8 +163,8 @@ def test_wrong_images_are_named(folder, tmp_path, capsys):
 def test_blurred_and_black_images_are_named_or_left_out(folder, tmp_path, capsys):
     for side in ("left", "right"):
         for k in range(2):
-            (tmp_path / f"{side}_{k}.png").write_bytes((folder / f"{side}_{k}.png").read_bytes())
-    sharp = cv2.imread(str(folder / "right_1.png"), cv2.IMREAD_GRAYSCALE)
+            (tmp_path / f"{side}_{k}.png").write_bytes((folder / f"{side}_0{k}.png").read_bytes())
+    sharp = cv2.imread(str(folder / "right_01.png"), cv2.IMREAD_GRAYSCALE)
     for spoiled, words in (
         (cv2.GaussianBlur(sharp, (0, 0), 1.5), "is blurred"),
         (np.zeros_like(sharp), "0 points stand out"),

@@ -57,6 +57,7 @@ def test_the_sign_of_the_translation_is_that_of_visible_points():
     assert calibration.rig.T_right_left.t[0] > 0 and not calibration.rig.is_metric
 
 
+@pytest.mark.slow
 def test_standard_deviations_hold_with_wrong_intrinsics():
     """Cameras as uncertain as assumed: 20 draws x 3 angles."""
     scores = []
@@ -88,11 +89,10 @@ def test_what_a_far_scene_does_not_tell_is_kept_or_refused():
     assert [f.code for f in kept.findings] == ["scene-tells-too-little-kept"]
     rotation_deg, direction_deg = difference_deg(kept)
     assert rotation_deg < 0.1 and direction_deg < 0.01
-    for axis in range(3):  # where the direction is kept, the angles are told as they are from there
-        old = SE3(turned(axis, 1.0).R, so3.exp(np.radians([0.0, 0.5, 0.8])) @ T_RIGHT_LEFT.t)
-        kept = solve(far, old=old)
-        turn = so3.log(kept.rig.T_right_left.R @ T_RIGHT_LEFT.R.T)
-        assert np.abs(turn / [kept.covariance.sigma[f"rotation.{a}"] for a in "xyz"]).max() < 3.5
+    # where the direction is kept, the angles are told as they are from there
+    kept = solve(far, old=SE3(turned(1, 1.0).R, so3.exp(np.radians([0.0, 0.5, 0.8])) @ T_RIGHT_LEFT.t))
+    turn = so3.log(kept.rig.T_right_left.R @ T_RIGHT_LEFT.R.T)
+    assert np.abs(turn / [kept.covariance.sigma[f"rotation.{a}"] for a in "xyz"]).max() < 3.5
 
 
 def test_pairs_that_contradict_are_named():
@@ -132,6 +132,7 @@ def test_matches_are_checked():
         PointMatches.joined([two, replace(two, left_size_wh=(10, 10))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["street", "room"])
 def test_the_right_minimum_is_found_beside_wrong_matches_of_all_kinds(family):
     """From 5 degrees off in rotation and direction."""

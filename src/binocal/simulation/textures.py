@@ -1,4 +1,4 @@
-"""Textures of rendered scenes: periodic, procedural, and without details finer than what a picture of them can show.
+"""Textures of rendered scenes: periodic, procedural, and without details finer than what an image of them can show.
 
 A texture is a smooth function: bicubic interpolation of a bitmap that holds nothing above half its sampling frequency, so that it can be
 sampled on the fine grid on which the lens's blur acts. Where a texel would be smaller than half a pixel, coarser versions take over
@@ -15,7 +15,7 @@ from numpy import ndarray
 from binocal.shapes import Float, Float32
 
 TEXEL_SAMPLES = 2.0  # of the fine grid, at least, that a texel covers
-_ROW = 1024  # samples are handed over in rows of so many: cv2.remap takes pictures, not lists
+_ROW = 1024  # samples are handed over in rows of so many: cv2.remap takes images, not lists
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,7 @@ def _interpolated(
         place[:k] = np.mod(values, n)
     map_x, map_y = (place.reshape(rows, _ROW) for place in maps)
     out = np.empty((rows, _ROW), dtype=np.float32)
-    for first in range(0, rows, 16384):  # pictures have less than 32768 rows
+    for first in range(0, rows, 16384):  # images have less than 32768 rows
         part = np.s_[first : first + 16384]
         out[part] = cv2.remap(bitmap, map_x[part], map_y[part], cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP)
     return out.ravel()[:k]
