@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from streets import SIZE, T_RIGHT_LEFT, cameras, street
 
 from binocal.cameras import Camera
 from binocal.geometry import so3
 from binocal.solvers.epipolar import EpipolarProblem, Rays, RelativePose, descend, finish, tangents
 from binocal.solvers.epipolar_covariance import covariance_of_noise
+from streets import SIZE, T_RIGHT_LEFT, cameras, street
 
 
 def error_of(estimate):
