@@ -14,7 +14,6 @@ from numpy import ndarray
 from binocal.cameras import Camera
 from binocal.detection.detect import stretch_8_bit
 from binocal.evidence.line_segments import LineSegments
-from binocal.images.reading import GreyImage
 from binocal.shapes import Bool, Float, Float32
 
 MIN_LENGTH_SHARE, MIN_LENGTH_PX = 0.02, 15.0  # of the image's diagonal; shorter ones point nowhere
@@ -31,7 +30,7 @@ LAGS = 12  # points along, over which the edge's own unevenness is alike
 SAG_POINTS = 30  # fewer tell no bend
 
 
-def find_line_segments(image: GreyImage, name: str, camera: Camera | None = None) -> LineSegments:
+def find_line_segments(image: ndarray, name: str, camera: Camera | None = None) -> LineSegments:
     """The straight segments of a grey image (h, w), uint8 or uint16.
 
     With a ``camera`` its lens is taken out: pixels are then those of a pinhole camera with its fx both ways and its principal point.
