@@ -81,7 +81,7 @@ def smallest_dictionary(family: str, n_markers: int) -> str:
 def _parameters(grey8: UInt8[ndarray, "h w"], border_bits: int) -> cv2.aruco.DetectorParameters:
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = border_bits
-    parameters.minMarkerPerimeterRate = min(0.03, 28 / max(grey8.shape))  # markers from 7 px a side on
+    parameters.minMarkerPerimeterRate = min(28 / max(grey8.shape), 1.0)  # from 7 px a side on: below, no cell is seen
     parameters.minDistanceToBorder = 1
     return parameters
 
