@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from binocal.simulation.drift_series import STILL, DriftFamily, simulate_drift
-from binocal.solvers import drift_filter
+from binocal.solvers import drift_filter, error_memory
 from binocal.solvers.drift_filter import ALARM_LOG_ODDS, noise_scales, settled, start_filter, step_filter
+from binocal.solvers.error_memory import remembered, start_memory, whitened
 
 
 def filtered(measured_deg, sigma_deg, interval_s=0.1):
@@ -27,6 +30,7 @@ def test_one_hypothesis_and_normal_noise_are_a_kalman_filter(monkeypatch):
     for name, value in (("JUMPS", ()), ("WALKS_DEG_PER_ROOT_HOUR", (0.03,)), ("LEARNT_AFTER", 1e15)):
         monkeypatch.setattr(drift_filter, name, value)
     monkeypatch.setattr(drift_filter, "noise_scales", lambda: (np.ones(1), np.ones(1)))
+    monkeypatch.setattr(error_memory, "MOST", 0.0)
     rng = np.random.default_rng(0)
     measured, sigma = rng.normal(0, 0.01, (30, 2)), rng.uniform(0.005, 0.02, (30, 2))
     state = filtered(measured, sigma, interval_s=7.0)[-1]
@@ -89,3 +93,29 @@ def test_the_rate_of_a_drift_goes_on_through_a_jump():
     measured = truth + rng.normal(0, 0.008, (steps, 8))
     mean, sigma = filtered(measured, np.full((steps, 8), 0.008), interval_s)[-1].estimate
     assert np.abs((mean[:, 1] - rate) / sigma[:, 1]).max() < 3 and sigma[:, 1].max() < 0.1
+
+
+@pytest.mark.parametrize("correlation", [0.5, 0.9])
+def test_errors_that_are_alike_are_no_jump(correlation):
+    """Taken for independent they raised an alarm in 9 of 10 series."""
+    series = simulate_drift(replace(STILL, correlation=correlation), 500, 60, np.random.default_rng(6))
+    states = filtered(series.measured_deg, series.stated_deg)
+    odds = np.array([s.log_odds for s in states[1:]])
+    assert np.sum(odds.max(axis=0) > ALARM_LOG_ODDS) <= 4
+    assert np.median(states[-1].memory.correlation) == pytest.approx(correlation, abs=0.12)
+
+
+def test_a_whitened_measurement_repeats_nothing_and_keeps_the_level():
+    rng = np.random.default_rng(7)
+    errors = rng.normal(size=(4000, 10))
+    for k in range(1, len(errors)):
+        errors[k] = 0.8 * errors[k - 1] + 0.6 * errors[k]
+    level, sigma, series = np.full(10, 5.0), np.ones(10), 5.0 + errors
+    memory, white = start_memory(series[0], sigma), []
+    for y in series[1:]:
+        last, memory = memory, remembered(memory, y, sigma, level)
+        white.append(whitened(memory, last, sigma))
+    z, sigma = (np.array(part)[1000:] for part in zip(*white, strict=True))
+    r = [np.corrcoef(z[1:, k], z[:-1, k])[0, 1] for k in range(10)]
+    assert np.abs(memory.correlation - 0.8).max() < 0.05 and np.abs(r).max() < 0.1
+    assert z.mean() == pytest.approx(5.0, abs=0.05) and np.std((z - 5) / sigma) == pytest.approx(1, abs=0.05)

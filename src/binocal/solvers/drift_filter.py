@@ -4,10 +4,11 @@ Hypotheses on when the last jump was are kept side by side (Adams & MacKay 2007,
 far measurement was an outlier or the first after a jump is settled by those that follow. Under each hypothesis a Kalman filter holds
 the level and its rate. Measurement noise is Student's t, of a standard deviation that is itself only roughly known: a mixture of
 normals of one mean, so that the posterior of a step is a mixture, which is replaced by the normal of its mean and covariance.
+Errors of neighbours that are alike are whitened first (:mod:`binocal.solvers.error_memory`).
 
 The odds that the level has jumped are the alarm: what all hypotheses of a jump weigh against those of none. Deviations from the
 source: hypotheses are pruned to the heaviest, a jump is normal about the old level rather than from a fixed prior, the rate goes on
-through jumps, and the noise is learnt along the way. Filters of several series run side by side.
+through jumps, and the noise and its correlation are learnt along the way. Filters of several series run side by side.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.shapes import Bool, Float, Int
+from binocal.solvers.error_memory import ErrorMemory, remembered, start_memory, whitened
 
 JUMPS = ((0.04, 1 / 600), (1.0, 1e-4))
 """Knocks, and mounts that give way: standard deviations in degrees, and how many are expected per measurement."""
@@ -48,6 +50,7 @@ class DriftState:
     log_weight: Float[ndarray, "n walks kept"]
     jumped_at: Int[ndarray, "n walks kept"]
     noise: tuple[Float[ndarray, "n"], float]
+    memory: ErrorMemory
     settled_at: Int[ndarray, "n"]
     """Jumps up to here are known, and no alarm any more."""
     n_measured: int = 1
@@ -70,11 +73,16 @@ class DriftState:
 
     @property
     def log_odds(self) -> Float[ndarray, "n"]:
-        """Of a jump that is not known yet, against none."""
+        """Of a jump that is not known yet, against none, times (1 - r) where the errors of neighbours are correlated by r.
+
+        How well r is known limits what measurements that are alike can tell together: without the factor the log odds that 5 % of
+        still series exceed grow from 6 at r = 0 to 50 at 0.9.
+        """
         is_new = self.jumped_at > self.settled_at[:, None, None]
         weights = self.weights
         new, none = ((weights * part).sum(axis=(1, 2)) for part in (is_new, ~is_new))
-        return np.log(np.maximum(new, 1e-300)) - np.log(np.maximum(none, 1e-300))
+        odds = np.log(np.maximum(new, 1e-300)) - np.log(np.maximum(none, 1e-300))
+        return odds * (1 - self.memory.correlation) ** 1.5
 
     def last_jump(self) -> Int[ndarray, "n"]:
         """The number of the measurement since which the level is another, by the heaviest hypothesis of a new jump."""
@@ -94,13 +102,16 @@ def start_filter(measured_deg: Float[ndarray, "n"], sigma_deg: Float[ndarray, "n
     log_weight[:, :, 0] = -np.log(len(WALKS_DEG_PER_ROOT_HOUR))
     none = np.full(shape, -1)
     noise = np.full(len(measured_deg), LEARNT_AFTER), LEARNT_AFTER
-    return DriftState(mean, covariance, log_weight, none, noise, np.zeros(len(measured_deg), dtype=np.int64))
+    memory = start_memory(measured_deg, sigma_deg)
+    return DriftState(mean, covariance, log_weight, none, noise, memory, np.zeros(len(measured_deg), dtype=np.int64))
 
 
 def step_filter(
     state: DriftState, measured_deg: Float[ndarray, "n"], sigma_deg: Float[ndarray, "n"], elapsed_s: float
 ) -> DriftState:
     """After one more measurement of each series, ``elapsed_s`` after the last."""
+    memory = remembered(state.memory, measured_deg, sigma_deg, state.estimate[0][:, 0])
+    measured_deg, sigma_deg = whitened(memory, state.memory, sigma_deg)
     mean, covariance, log_weight, jumped_at = _with_jumps(_predicted(state, elapsed_s / 3600))
     found, count = state.noise
     learnt = np.maximum(found / count, LEAST_NOISE**2)
@@ -127,6 +138,7 @@ def step_filter(
         covariance=covariance,
         log_weight=log_weight,
         jumped_at=jumped_at,
+        memory=memory,
         n_measured=state.n_measured + 1,
     )
     rest = ((1 - gain) * innovation) ** 2 + level * (1 - gain)  # expected square of the measurement's error
