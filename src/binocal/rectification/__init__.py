@@ -11,20 +11,42 @@ from typing import Literal
 from binocal.cameras import StereoRig
 from binocal.cameras.epipolar_projection import PROJECTIONS, EpipolarProjection, ProjectionKind
 from binocal.cameras.rectified_pair import Projection, Rectification, rectify_at_camera_scale
+from binocal.rectification.disparity import (
+    DepthRange,
+    Matcher,
+    disparity_range,
+    distance_per_pixel,
+    distances_of,
+    match_rectified,
+    match_semi_global,
+    points_from_disparity,
+    usual_range,
+    without_uncovered,
+)
 from binocal.rectification.maps import RectificationMaps, rectification_map, rectified_rig, rectify_points
 
 __all__ = [
     "PROJECTIONS",
+    "DepthRange",
     "EpipolarProjection",
+    "Matcher",
     "Projection",
     "ProjectionKind",
     "Rectification",
     "RectificationMaps",
+    "disparity_range",
+    "distance_per_pixel",
+    "distances_of",
+    "match_rectified",
+    "match_semi_global",
+    "points_from_disparity",
     "rectification_map",
     "rectified_rig",
     "rectify",
     "rectify_points",
     "row_rectification",
+    "usual_range",
+    "without_uncovered",
 ]
 
 
