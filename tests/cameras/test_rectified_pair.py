@@ -5,53 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from binocal.benchmark.unlike_cameras import NARROW, beside, converging
+from binocal.benchmark.unlike_cameras import UNLIKE_RIGS as RIGS
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import DegenerateGeometryError
 from binocal.geometry import SE3, so3
 from binocal.rectification import rectification_map, rectify_points
 from rigs import DISTORTION, make_rig
 
-NARROW = Camera("brown4", (640, 480), np.array([800.0, 799, 322.7, 237.4, 0, -0.1, 0.12, 4e-4, -3e-4]))
-FISHEYE_200 = Camera("fisheye4", (640, 480), np.array([184.0, 184, 320, 240, 0, 0.01, -0.004, 0.001, 0]))
-SMALL = Camera("brown4", (320, 240), np.array([300.0, 300.2, 155.1, 122.5, 0, -0.1, 0.12, 4e-4, -3e-4]))
-LARGE = Camera("brown4", (1280, 960), np.array([1600.0, 1599, 642.7, 477.4, 0, -0.1, 0.12, 4e-4, -3e-4]))
-STANDING = Camera("brown4", (480, 640), np.array([800.0, 799, 240.0, 321, 0, -0.1, 0.12, 0, 0]))
-
-
-def converging(degrees: float, camera: Camera = NARROW, baseline_m: float = 0.5) -> StereoRig:
-    """Two cameras side by side, each turned inwards by half of the angle."""
-    half = np.radians(degrees) / 2
-    R_left, R_right = so3.exp(np.array([0.0, -half, 0.0])), so3.exp(np.array([0.0, half, 0.0]))
-    return StereoRig(camera, camera, SE3(R_right @ R_left.T, -R_right @ np.array([baseline_m, 0, 0])))
-
-
-def beside(left: Camera, right: Camera, turn_deg: float = 0.0) -> StereoRig:
-    """The right camera 6 cm to the right, turned about its axis."""
-    R = so3.exp(np.array([0.0, 0.0, np.radians(turn_deg)])) @ so3.exp(np.array([0.005, -0.01, 0.004]))
-    return StereoRig(left, right, SE3(R, R @ np.array([-0.06, 0.0003, 0.001])))
-
-
-RIGS = {
-    "parallel": (converging(0), "pinhole"),
-    "converging by 60 deg": (converging(60), "pinhole"),
-    "converging by 100 deg": (converging(100), "equirectangular"),
-    "converging by 150 deg": (converging(150), "equirectangular"),
-    "fisheyes converging by 90 deg": (converging(90, FISHEYE_200), "equirectangular"),
-    "fisheyes of 200 deg": (beside(FISHEYE_200, FISHEYE_200), "equirectangular"),
-    "fisheyes of 120 deg": (make_rig("fisheye4"), "cylindrical"),
-    "large and small": (beside(LARGE, SMALL), "pinhole"),
-    "small and large": (beside(SMALL, LARGE), "pinhole"),
-    "upside down": (beside(NARROW, NARROW, 180), "pinhole"),
-    "on its side": (beside(NARROW, STANDING, 90), "pinhole"),
-    "vertical": (make_rig(t=(0.002, -0.05, 0.003)), "pinhole"),
+CURVED = {
+    "converging by 100°": "equirectangular",
+    "converging by 150°": "equirectangular",
+    "fisheyes of 120°": "cylindrical",
+    "fisheyes of 200°": "equirectangular",
+    "fisheyes of 200° converging by 90°": "equirectangular",
+    "fisheyes of 200°, one above the other": "equirectangular",
 }
 
 
 @pytest.mark.parametrize("name", RIGS)
 def test_what_both_see_fills_both_images(name):
-    rig, projection = RIGS[name]
+    rig = RIGS[name]
     r = rig.rectify()
-    assert r.projection == projection
+    assert r.projection == CURVED.get(name, "pinhole")
     for camera, R, P, stated in (
         (rig.left, r.R_rect_left, r.P_left, r.covered[0]),
         (rig.right, r.R_rect_right, r.P_right, r.covered[1]),
@@ -63,7 +39,7 @@ def test_what_both_see_fills_both_images(name):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_matching_points_share_a_row_and_the_left_image_stands_upright(name):
-    rig, _ = RIGS[name]
+    rig = RIGS[name]
     r = rig.rectify()
     x, y = np.meshgrid(np.linspace(0.1, 0.9, 9), np.linspace(0.1, 0.9, 7))
     pixels = np.stack([x, y], axis=-1).reshape(-1, 2) * rig.left.size_wh
@@ -87,9 +63,9 @@ def test_a_camera_upside_down_gives_the_rectification_of_the_upright_one():
     assert not turned.is_vertical and turned.offset_m == pytest.approx(upright.offset_m)
 
 
-@pytest.mark.parametrize("name", ["parallel", "converging by 100 deg", "fisheyes of 200 deg", "large and small"])
+@pytest.mark.parametrize("name", ["parallel", "converging by 100°", "fisheyes of 200°", "right on its side"])
 def test_alpha_zooms_from_valid_pixels_to_all(name):
-    rig, _ = RIGS[name]
+    rig = RIGS[name]
     shown = [rig.rectify(alpha=alpha) for alpha in (0.0, 0.5, 1.0)]
     sizes = [r.left.focal_px[0] for r in shown]
     assert sizes[0] > sizes[1] > sizes[2] and len({r.size_wh for r in shown}) == 1
@@ -114,7 +90,7 @@ def test_alpha_0_is_as_large_as_opencvs():
 
 
 def test_size_and_projection_are_as_asked_for():
-    rig, _ = RIGS["converging by 100 deg"]
+    rig = RIGS["converging by 100°"]
     asked = rig.rectify(size_wh=(320, 200), projection="pinhole")
     assert asked.size_wh == (320, 200) and asked.P_left.shape == (3, 4) and min(asked.covered) > 0.5
     assert asked.kept < rig.rectify().kept
@@ -127,7 +103,7 @@ def test_size_and_projection_are_as_asked_for():
 
 
 def test_what_is_no_pinhole_has_no_matrix():
-    r = RIGS["fisheyes of 200 deg"][0].rectify()
+    r = RIGS["fisheyes of 200°"].rectify()
     with pytest.raises(DegenerateGeometryError, match="equirectangular projection, which has no matrix Q"):
         _ = r.Q
     assert r.P_left is r.left and r.P_right is r.right

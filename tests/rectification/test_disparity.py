@@ -81,6 +81,22 @@ def test_the_depth_of_a_plane_is_measured(name):
     assert abs(np.median(off_px)) < 0.06 and np.quantile(np.abs(off_px), 0.8) < 0.5
 
 
+def test_the_depth_of_converging_cameras_is_measured():
+    """By 63°, of a plane across the middle of what both see; disparity at infinity is far outside of what is searched."""
+    r = rectify(CONVERGING)
+    distances = usual_range(r)
+    ahead = r.R_rect_left[2]  # the plane ahead . X = distance, of which all points have one disparity
+    middle = float(np.sqrt(distances.near * distances.far))
+    images = render_plane(CONVERGING, middle / ahead[2], tilt=-ahead[0] / ahead[2])
+    maps = RectificationMaps.of(CONVERGING, r)
+    left, right = maps.rectify(*images)
+    disparity = without_uncovered(r, maps, match_rectified(r, left, right, distances))
+    points = points_from_disparity(r, disparity)
+    known = np.isfinite(points).all(axis=-1)
+    off_px = (points[known, 2] - middle) / distance_per_pixel(r, points)[known]
+    assert known.mean() > 0.4 and abs(np.median(off_px)) < 0.1 and np.quantile(np.abs(off_px), 0.8) < 0.5
+
+
 def test_black_borders_have_no_depth():
     rig = small_rig("fisheye4")
     r = rectify(rig, alpha=1.0)

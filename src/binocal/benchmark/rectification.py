@@ -1,4 +1,4 @@
-"""Rectification maps and rectified pairs of full-HD cameras beside OpenCV's, every lens model, in one process and in turn.
+"""Rectification: maps and pairs of full-HD cameras beside OpenCV's, in one process and in turn; and what unlike cameras' images show.
 
 Processor time of one thread: what other processes take of the machine does not count. The last column is a pair from scratch, as it
 is where a rig is calibrated anew; the one before it is what every further pair of the same rig costs.
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from binocal.benchmark.unlike_cameras import UNLIKE_RIGS
 from binocal.cameras import Camera, StereoRig
 from binocal.geometry import SE3, so3
 from binocal.rectification import RectificationMaps, rectification_map, rectify
@@ -28,7 +29,7 @@ LENSES = {
 
 
 def run_rectification_benchmark(*, repetitions: int = 21, seed: int = 0) -> dict[str, Any]:
-    """One row per lens model: milliseconds and ratios of medians, spread, and the largest difference of the maps, pixels."""
+    """Milliseconds, ratios of medians, spread and the largest difference per lens model; and a canvas per rig of unlike cameras."""
     import cv2
 
     threads, opencv_threads = n_threads(), cv2.getNumThreads()
@@ -39,6 +40,7 @@ def run_rectification_benchmark(*, repetitions: int = 21, seed: int = 0) -> dict
     finally:
         set_threads(threads)
         cv2.setNumThreads(opencv_threads)
+    canvases = [_canvas(name, rig) for name, rig in UNLIKE_RIGS.items()]
     return {
         "benchmark": "rectification",
         "size_wh": list(SIZE_WH),
@@ -47,8 +49,36 @@ def run_rectification_benchmark(*, repetitions: int = 21, seed: int = 0) -> dict
         "opencv": cv2.__version__,
         "machine": platform.machine(),
         "rows": rows,
-        "text": _format(rows, cv2.__version__, repetitions),
+        "canvases": canvases,
+        "text": _format(rows, cv2.__version__, repetitions) + "\n\n" + _format_canvases(canvases),
     }
+
+
+def _canvas(name: str, rig: StereoRig) -> dict[str, Any]:
+    """What is shown of a rig, shares of all pixels counted on the maps."""
+    r = rectify(rig)
+    covered = [
+        float(rectification_map(camera, R, P, r.size_wh)[1].mean())
+        for camera, R, P in ((rig.left, r.R_rect_left, r.P_left), (rig.right, r.R_rect_right, r.P_right))
+    ]
+    return {
+        "rig": name,
+        "projection": r.projection,
+        "size_wh": list(r.size_wh),
+        "covered_left": covered[0],
+        "covered_right": covered[1],
+        "kept": r.kept,
+    }
+
+
+def _format_canvases(canvases: list[dict[str, Any]]) -> str:
+    lines = [f"{'rig':<40} {'projection':<16} {'size':>11} {'left':>6} {'right':>6} {'kept':>6}"]
+    lines += [
+        f"{c['rig']:<40} {c['projection']:<16} {c['size_wh'][0]:>5} x{c['size_wh'][1]:>4} {100 * c['covered_left']:>4.0f} % "
+        f"{100 * c['covered_right']:>4.0f} % {100 * c['kept']:>4.0f} %"
+        for c in canvases
+    ]
+    return "\n".join(lines)
 
 
 def _rig(model: str) -> StereoRig:
