@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocal.metrics.depth_sigma import COLUMNS, LEVELS, ROWS, _moved, depth_sigma
+from binocal.metrics.depth_sigma import COLUMNS, LEVELS, ROWS, DepthSigma, _moved, depth_sigma
 from binocal.metrics.image import triangulate
 from binocal.rectification import rectify
 from binocal.result import Covariance
@@ -63,6 +63,15 @@ def test_pixels_get_what_the_lattice_says():
     np.testing.assert_allclose(sigma[-1, -1] / lattice.distances[2], lattice.share[2, -1, -1], rtol=1e-5)
     np.testing.assert_allclose(sigma[0, 0] / 1e3, lattice.share[-1, 0, 0], rtol=1e-5)
     assert np.isnan(sigma[5, 5]) and np.isfinite(sigma).sum() == sigma.size - 1
+
+
+def test_places_that_a_camera_does_not_see_take_nothing_from_the_others():
+    """Corners beyond the fold of a lens: with the lattice's NaN in sums, no pixel had a standard deviation."""
+    share = np.full((LEVELS, ROWS, COLUMNS), 0.02)
+    share[:, :2, :3] = np.nan
+    share[0] = np.nan  # too near for one of the cameras
+    sigma = DepthSigma(np.geomspace(0.5, 4.0, LEVELS), share).at(np.full((60, 80), 1.5, np.float32))
+    np.testing.assert_allclose(sigma, 0.03, rtol=1e-5)
 
 
 def test_an_unknown_covariance_gives_no_number():

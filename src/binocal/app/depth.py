@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -169,19 +169,7 @@ def depth_document(calibration: StereoCalibration, run: DepthRun, options: Depth
         "most_sigma_share": MOST_SIGMA_SHARE,
         "cloud_frame": "left camera: x right, y down, z forward",
         "rectification": rectification_document(calibration.rig, r),
-        "pairs": [
-            {
-                "name": pair.name,
-                "measured": pair.measured,
-                "uncertain": pair.uncertain,
-                "beyond_png": pair.beyond_png,
-                "median": pair.median,
-                "median_sigma": pair.median_sigma,
-                "median_sigma_calibration": pair.median_sigma_calibration,
-                "median_sigma_matching": pair.median_sigma_matching,
-            }
-            for pair in run.pairs
-        ],
+        "pairs": [asdict(pair) for pair in run.pairs],
     }
 
 

@@ -44,7 +44,7 @@ def depth_text(rig: StereoRig, run: DepthRun, options: DepthOptions, output: Pat
         "" if run.knows_covariance else "; what the calibration leaves uncertain is unknown: the file does not say it"
     )
     lines.append(f"Noise    {options.matching_noise_px:g} px of a disparity taken as given{known}")
-    lines += ["", f"{'pair':<16} {'measured':>9} {'median':>12} {'± all':>10} {'matching':>10} {'calibration':>12}"]
+    lines += ["", f"{'pair':<16} {'measured':>9} {'median':>14} {'± all':>15} {'matching':>15} {'calibration':>15}"]
     lines += [_pair_line(pair, unit) for pair in run.pairs[:MOST_PAIRS]]
     if len(run.pairs) > MOST_PAIRS:
         lines.append(f"and {len(run.pairs) - MOST_PAIRS} more")
@@ -69,19 +69,13 @@ def depth_text(rig: StereoRig, run: DepthRun, options: DepthOptions, output: Pat
 
 def _pair_line(pair: PairDepth, unit: str) -> str:
     def length(value: float) -> str:
-        return (
-            "-"
-            if np.isnan(value)
-            else f"{value:.4g} {unit}"
-            if value >= 0.1
-            else f"{1e3 * value:.3g} m{unit}"
-            if unit == "m"
-            else f"{value:.3g}"
-        )
+        if np.isnan(value):
+            return "-"
+        return f"{1e3 * value:.3g} mm" if unit == "m" and value < 0.1 else f"{value:.4g} {unit}"
 
     return (
-        f"{pair.name:<16} {100 * pair.measured:>7.0f} % {length(pair.median):>12} {length(pair.median_sigma):>10} "
-        f"{length(pair.median_sigma_matching):>10} {length(pair.median_sigma_calibration):>12}"
+        f"{pair.name:<16} {100 * pair.measured:>7.0f} % {length(pair.median):>14} {length(pair.median_sigma):>15} "
+        f"{length(pair.median_sigma_matching):>15} {length(pair.median_sigma_calibration):>15}"
     )
 
 

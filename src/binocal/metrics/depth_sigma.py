@@ -38,9 +38,8 @@ class DepthSigma:
         share = np.zeros_like(distance)
         for k in range(LEVELS):
             weight = np.maximum(1 - np.abs(level - k), 0)
-            plane = (across @ self.share[k] @ along.T).astype(np.float32)
-            # a place that no camera sees is NaN, and must not spread to the levels that do not use it
-            share += np.where(weight > 0, weight * plane, np.where(np.isnan(weight), np.nan, 0)).astype(np.float32)
+            plane = (across @ _filled(self.share[k]) @ along.T).astype(np.float32)
+            share += np.where(weight == 0, np.float32(0), weight * plane)
         return share * distance
 
 
@@ -95,6 +94,21 @@ def _moved(rig: StereoRig, name: str, step: float) -> StereoRig:
     T, way = rig.T_right_left, np.eye(3)["xyz".index(item)] * step
     moved = SE3(so3.exp(way) @ T.R, T.t) if group == "rotation" else SE3(T.R, T.t + way)
     return replace(rig, T_right_left=moved)
+
+
+def _filled(share: Float[ndarray, "rows columns"]) -> Float[ndarray, "rows columns"]:
+    """Places of a lattice that a camera does not see get the mean of their neighbours that both see; all NaN stays NaN.
+
+    Pixels between such a place and one that both see would else have no standard deviation.
+    """
+    filled = share.copy()
+    while np.isnan(filled).any() and np.isfinite(filled).any():
+        padded = np.pad(filled, 1, constant_values=np.nan)
+        around = np.stack([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]])
+        known = np.isfinite(around).sum(axis=0)
+        mean = np.nansum(around, axis=0) / np.maximum(known, 1)
+        filled = np.where(np.isnan(filled) & (known > 0), mean, filled)
+    return filled
 
 
 def _weights(n: int, n_nodes: int) -> Float[ndarray, "n nodes"]:
