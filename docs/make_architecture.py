@@ -34,7 +34,7 @@ LABELS = {
     "kernels": "C++: inner loops",
     "matching": "points that both cameras saw",
     "metrics": "figures of merit",
-    "rectification": "maps, rows",
+    "rectification": "maps, disparity, depth",
     "report": "figures",
     "result": "a calibration",
     "rl": "agent, environment, training",

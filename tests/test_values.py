@@ -40,6 +40,7 @@ def values():
         "board": parse_board("chessboard:9x6:30mm"),
         "found": not_found(4, "nothing"),
         "finding": finding("focal-length-uncertain", camera="left", sigma_percent=1.2),
+        "rectification": binocal.rectify(table2_rig()),
         "detections": Detections.from_arrays(np.eye(2, 3), np.ones((1, 2, 2)), np.ones((1, 2, 2)), (4, 3), **corners),
     }
 

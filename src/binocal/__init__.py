@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from binocal.formats.detections_npz import read_detections, write_detections
     from binocal.formats.rig_json import read_calibration, read_rig, write_calibration
     from binocal.geometry import SE3
+    from binocal.rectification import Rectification, rectify
     from binocal.result import Covariance, OutlierCorner, RejectedView, ResidualSummary, StereoCalibration, ViewResult
     from binocal.solvers.prior import RigPrior
     from binocal.threads import set_threads
@@ -70,6 +71,7 @@ _NAMES_IN = {
     "binocal.findings": ("Finding", "Severity"),
     "binocal.solvers.prior": ("RigPrior",),
     "binocal.threads": ("set_threads",),
+    "binocal.rectification": ("Rectification", "rectify"),
     "binocal.result": (
         "Covariance",
         "OutlierCorner",
@@ -102,6 +104,7 @@ __all__ = [
     "OutputError",
     "OutputExistsError",
     "PluginError",
+    "Rectification",
     "RejectedView",
     "ResidualSummary",
     "RigPrior",
@@ -119,6 +122,7 @@ __all__ = [
     "read_calibration",
     "read_detections",
     "read_rig",
+    "rectify",
     "set_threads",
     "write_calibration",
     "write_detections",

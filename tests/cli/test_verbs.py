@@ -363,11 +363,12 @@ def test_a_prior_of_a_singular_covariance_is_the_files_fault(fakes, capsys, chan
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_what_opencv_cannot_hold_does_not_lose_the_rig(fakes, capsys, monkeypatch):
+@pytest.mark.parametrize("kind", [errors.DataError, errors.DegenerateGeometryError])
+def test_what_opencv_cannot_hold_does_not_lose_the_rig(fakes, capsys, monkeypatch, kind):
     from binocal.formats import opencv_yaml
 
     def refuse(*_, **__):
-        raise errors.DataError("OpenCV has no such lens.")
+        raise kind("OpenCV has no such lens.")
 
     monkeypatch.setattr(opencv_yaml, "opencv_texts", refuse)
     assert main([*CALIBRATE, "--opencv", "rig.yml"]) == 3

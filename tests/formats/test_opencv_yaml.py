@@ -5,6 +5,7 @@ import tempfile
 import warnings
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -13,6 +14,7 @@ from binocal.errors import DataError, DegenerateGeometryError, FormatError, Outp
 from binocal.formats import opencv_yaml
 from binocal.formats.opencv_yaml import read_opencv
 from binocal.formats.registry import find_format
+from binocal.rectification import rectification_map
 from rigs import assert_same_rig, make_rig, rigs
 
 
@@ -55,6 +57,17 @@ def test_reads_what_opencv_writes(tmp_path, suffix):
     storage.write("image_height", 960)
     storage.release()
     assert_same_rig(opencv_yaml.read_opencv(path), rig, 1e-12)
+
+
+def test_converging_cameras_get_a_pinhole_that_shows_what_both_see(tmp_path):
+    """By 100 degrees: R1 to Q of before showed not one pixel of either."""
+    rig = make_rig(rotation_rad=(0, 1.745, 0), t=(-0.5 * np.cos(0.8725), 0, 0.5 * np.sin(0.8725)))
+    opencv_yaml.write_opencv(tmp_path / "rig.yml", rig)
+    storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
+    R1, R2, P1, P2, Q = (storage.getNode(name).mat() for name in ("R1", "R2", "P1", "P2", "Q"))
+    for camera, R, P in ((rig.left, R1, P1), (rig.right, R2, P2)):
+        assert rectification_map(camera, R, P, rig.left.size_wh)[1].mean() > 0.6  # measured: 0.68
+    assert Q[3, 3] != 0  # each image has a centre of its own
 
 
 def test_the_image_size_is_asked_for(tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from binocal import kernels
-from binocal.kernels import _kernel, corner_fits, image_lens, images
+from binocal.kernels import _kernel, corner_fits, image_lens, images, rectified_maps
 
 ROUNDS = int(os.environ.get("BINOCAL_FUZZ_ROUNDS", "300"))
 SEED = int(os.environ.get("BINOCAL_FUZZ_SEED", "0"))
@@ -245,10 +245,24 @@ def pool_corners(f: Fuzz) -> None:
     corner_fits.pool_corners(fits)
 
 
+def rectified_map(f: Fuzz) -> None:
+    model = f.rng.choice(list(MODELS))
+    height, width = f.size(20), f.size(20)
+    given = [np.empty((2, height, width), np.float32), np.empty((height, width), bool)]
+    if f.misfit:
+        given[int(f.rng.integers(2))] = np.empty((2, f.size(), f.size()), np.float32)[
+            0 if f.rng.random() < 0.5 else ...
+        ]
+    rectified_maps.rectified_map(
+        model, f.floats(MODELS[model]), f.floats(height, 3), f.floats(width, 3), (640, 480),
+        least_cosine=float(f.floats(1)[0]), outside=float(f.rng.choice([np.nan, -16.0, 3.0])), out=given[0], is_inside=given[1],
+    )  # fmt: skip
+
+
 FUNCTIONS = [
     accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
     compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
-    follow_edges, link_corners, grow_groups, fit_corners, fit_image_lens, pool_corners,
+    follow_edges, link_corners, grow_groups, fit_corners, fit_image_lens, pool_corners, rectified_map,
 ]  # fmt: skip
 
 

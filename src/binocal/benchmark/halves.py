@@ -12,7 +12,7 @@ from binocal.cameras import StereoRig
 from binocal.errors import BinocalError
 from binocal.evidence import Detections
 from binocal.geometry import so3
-from binocal.rectification import rectify, rectify_points
+from binocal.rectification import rectify_points, row_rectification
 from binocal.result import StereoCalibration
 from binocal.shapes import Float, Int
 
@@ -79,7 +79,7 @@ def row_errors(rig: StereoRig, detections: Detections) -> Float[ndarray, "views 
     Raises:
         BinocalError: The rig cannot be rectified.
     """
-    rectified = rectify(rig)
+    rectified = row_rectification(rig)
     axis = 0 if rectified.is_vertical else 1
     rows = (
         rectify_points(camera, R, P, px)[..., axis]

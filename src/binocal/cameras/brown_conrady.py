@@ -147,6 +147,11 @@ def unproject(
     return np.where(is_valid, a, np.nan), np.where(is_valid, b, np.nan), np.where(is_valid, 1.0, np.nan), is_valid
 
 
+def farthest_angle(parameters: Float[ndarray, "p"]) -> float:
+    """The angle from the axis, radians, at which the radial mapping folds back; 90° if it never does."""
+    return float(np.arctan(_fold_radius(parameters[5:])))
+
+
 def _fold_radius(distortion: Float[ndarray, "d"]) -> float:
     """Smallest undistorted radius at which the radial mapping stops growing; inf if it never does below 20."""
     r = np.linspace(0.0, 20.0, 8001)

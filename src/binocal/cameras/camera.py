@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras.models import CameraModel, camera_model
-from binocal.shapes import Float
+from binocal.shapes import Bool, Float
 from binocal.values import ArrayValue, frozen_array
 
 MOST_SIDE_PX = 1 << 20  # line cameras have 16,384
@@ -98,3 +98,19 @@ class Camera(ArrayValue):
         X, Y, Z, _ = self._functions.unproject(self.parameters, pixels[..., 0], pixels[..., 1])
         rays = np.stack([X, Y, Z], axis=-1)
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+    def sees(self, rays: Float[ndarray, "*batch n 3"]) -> Bool[ndarray, "*batch n"]:
+        """Whether rays of the camera frame (directions, of any length) have a pixel in the image.
+
+        A strong lens model folds back far outside its image: there, pixels in it belong to other rays, and such rays are not seen.
+        """
+        rays = np.asarray(rays, dtype=float)
+        pixels = self.project(rays)
+        with np.errstate(all="ignore"):
+            is_inside = np.all((pixels >= -0.5) & (pixels <= np.array(self.size_wh) - 0.5), axis=-1)
+            unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        farthest_angle = self._functions.farthest_angle
+        if farthest_angle is not None:
+            return is_inside & (unit[..., 2] > np.cos(farthest_angle(self.parameters)))
+        back = self.unproject(np.where(is_inside[..., None], pixels, np.nan))
+        return is_inside & (np.linalg.norm(np.where(np.isnan(back), np.inf, back) - unit, axis=-1) < 1e-6)

@@ -97,9 +97,7 @@ def unproject(
     yd = (v - cy) / fy
     xd = (u - cx - skew * yd) / fx
     theta_d, m, n = _direction(xd, yd)
-    grid = np.linspace(0, np.pi, 4001)
-    is_turned = _polynomial(grid * grid, k)[1] <= 1e-6
-    limit = float(grid[np.argmax(is_turned)]) if is_turned.any() else np.pi
+    limit = farthest_angle(parameters)
     theta = np.minimum(theta_d, limit)
     step = np.full(np.shape(theta), np.inf)
     with np.errstate(all="ignore"):
@@ -113,3 +111,10 @@ def unproject(
         is_valid = (np.abs(theta * ratio - theta_d) < 1e-12 * (1 + theta_d)) & (theta < limit)
     sine = np.where(is_valid, np.sin(theta), np.nan)
     return sine * m, sine * n, np.where(is_valid, np.cos(theta), np.nan), is_valid
+
+
+def farthest_angle(parameters: Float[ndarray, "p"]) -> float:
+    """The angle from the axis, radians, at which the polynomial first turns back; 180° if it never does."""
+    grid = np.linspace(0, np.pi, 4001)
+    is_turned = _polynomial(grid * grid, [np.asarray(c) for c in parameters[5:]])[1] <= 1e-6
+    return float(grid[np.argmax(is_turned)]) if is_turned.any() else np.pi

@@ -20,7 +20,8 @@ class CameraModel:
 
     ``sees_behind`` says that points with Z <= 0 can be seen (fisheye). ``prior_sigma`` is the standard deviation of a
     weak prior that holds each radial coefficient near 0 where the corners say nothing about it; infinite: no prior.
-    ``step_parameters`` moves parameters by a solver's step: their sum to first order.
+    ``step_parameters`` moves parameters by a solver's step: their sum to first order. ``farthest_angle`` is the angle from the axis,
+    radians, up to which the image of a ray moves outwards as the ray does; beyond it the model folds back.
     """
 
     name: str
@@ -31,6 +32,7 @@ class CameraModel:
     unproject: Callable[..., Any]
     prior_sigma: float = math.inf
     step_parameters: Callable[..., Any] = add
+    farthest_angle: Callable[..., float] | None = None
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -74,6 +76,7 @@ def _brown(name: str, *distortion_names: str, prior_sigma: float = math.inf) -> 
         brown_conrady.unproject,
         prior_sigma,
         brown_conrady.step_parameters,
+        brown_conrady.farthest_angle,
     )
 
 
@@ -88,6 +91,7 @@ CAMERA_MODELS: dict[str, CameraModel] = {
         kannala_brandt.project,
         kannala_brandt.linearize,
         kannala_brandt.unproject,
+        farthest_angle=kannala_brandt.farthest_angle,
     ),
 }
 

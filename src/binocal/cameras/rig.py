@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from binocal.cameras.camera import Camera
+from binocal.cameras.epipolar_projection import ProjectionKind
+from binocal.cameras.rectified_pair import Rectification, rectify_cameras
 from binocal.geometry import SE3, so3
 
 
@@ -41,6 +44,35 @@ class StereoRig:
     def is_swapped(self) -> bool:
         """True when the camera called right stands to the left of the other: see :func:`are_exchanged`."""
         return are_exchanged(self.T_right_left)
+
+    def rectify(
+        self,
+        *,
+        size_wh: tuple[int, int] | None = None,
+        alpha: float | None = None,
+        projection: Literal["auto"] | ProjectionKind = "auto",
+    ) -> Rectification:
+        """How both cameras' images are brought to common rows (columns, where one camera stands above the other).
+
+        The rectified images stand upright as the left one does. What both cameras see, at any distance, fills them: rows and columns
+        of which less than half would be covered are cut, ``kept`` and ``covered`` of the result say what is shown. ``projection`` is a
+        pinhole as long as no area of that is stretched ten times as much as another, else a projection on a cylinder or sphere about
+        the baseline (:mod:`binocal.cameras.epipolar_projection`).
+
+        Args:
+            size_wh: Size of the rectified images; by default the left image's, or, where what both see has another shape, one of that
+                shape and of as many pixels.
+            alpha: 0 zooms to where both images are covered all over, 1 shows every pixel of both cameras, as in OpenCV's
+                ``stereoRectify``; values between lie between.
+            projection: ``auto``, ``pinhole``, ``cylindrical`` or ``equirectangular``.
+
+        Raises:
+            DegenerateGeometryError: The baseline is zero, or lies along the viewing direction; or the cameras see nothing in common.
+            ValueError: A size, ``alpha`` or a projection that is none.
+        """
+        return rectify_cameras(
+            self.left, self.right, self.T_right_left, size_wh=size_wh, alpha=alpha, projection=projection
+        )
 
 
 def are_exchanged(T_right_left: SE3) -> bool:

@@ -3,33 +3,22 @@
 from __future__ import annotations
 
 import enum
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from binocal import __version__
+from binocal.cli import rectified_verbs as _rectified_verbs  # noqa: F401 - its verbs are the application's too
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.streams import print_document
-from binocal.errors import DataError, FormatError
-from binocal.threads import n_threads, set_threads
+from binocal.cli.options import BOARD_HELP, BoardSpec, Force, Json, Left, Right, Seed, Threads, app
+from binocal.cli.options import finite as _finite
+from binocal.cli.options import present as _present
+from binocal.errors import CalibrationError, DataError, FormatError
 
 if TYPE_CHECKING:
     from binocal.app import CalibrationRun
     from binocal.solvers.prior import RigPrior
-
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Stereo-camera calibration that measures depth and says how far the depth can be trusted.",
-    epilog="Exit codes: 0 fine, 1 failure while running, 2 usage, 3 input unusable, 4 finished but below the quality "
-    "asked for, 130 interrupted.",
-)
 
 
 class Model(enum.StrEnum):
@@ -61,65 +50,6 @@ class Exposures(enum.StrEnum):
 
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
 MODELS = "|".join(Model)
-BOARD_HELP = (
-    "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
-    "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, or a YAML file. "
-    "A length without mm, cm, m or in leaves the scale unknown."
-)
-Left = Annotated[str, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")]
-Right = Annotated[str, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")]
-BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
-Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout, on errors too.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
-
-
-def _finite(value: float | None) -> float | None:
-    """A number that an option can use: typer's own limits let ``inf`` and ``nan`` pass."""
-    if value is not None and not math.isfinite(value):
-        raise typer.BadParameter(f"{value} is not a finite number.")
-    return value
-
-
-Seed = Annotated[int, typer.Option("--seed", help="Seed of everything random.", metavar="N", min=0)]
-
-
-def _use_threads(n: int | None) -> None:
-    """Sees to the number of threads before any work, whoever stated it."""
-    if n is not None:
-        set_threads(n)
-    try:
-        n_threads()
-    except ValueError as error:
-        raise typer.BadParameter(f"{error}.") from None
-
-
-Threads = Annotated[
-    int | None,
-    typer.Option(
-        "--threads",
-        help="Threads to use (default: BINOCAL_THREADS, or all processors that the process may use).",
-        metavar="N",
-        min=1,
-        max=4096,
-        callback=_use_threads,
-        show_default=False,
-    ),
-]
-
-
-def _print_version(is_asked: bool) -> None:
-    if is_asked:
-        print(f"binocal {__version__}")
-        raise typer.Exit()
-
-
-@app.callback()
-def _common(
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version and leave.", callback=_print_version, is_eager=True)
-    ] = False,
-) -> None:
-    pass
 
 
 @app.command()
@@ -750,21 +680,12 @@ def _write_calibration(
     refusal = None
     try:
         contents |= {} if opencv is None else opencv_texts(opencv, run.calibration.rig, force=force)
-    except DataError as error:  # such as a lens that OpenCV cannot hold: the rig itself is not lost
+    except (DataError, CalibrationError) as error:  # such as a lens that OpenCV cannot hold: the rig itself is not lost
         refusal = error
     contents[output] = calibration_text(run.calibration)
     write_together(contents, force=force)
     if refusal is not None:
         raise refusal
-
-
-def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
-    if as_json:
-        from binocal.formats.json_document import dump_json, jsonable
-
-        print_document(dump_json(jsonable(document)))
-    else:
-        print(text)
 
 
 def _refuse_input_as_output(path: Path, *sources: str) -> None:

@@ -92,7 +92,7 @@ def opencv_texts(path: str | Path, rig: StereoRig, *, force: bool = False) -> di
         ("M2", rig.right.K),
         ("D2", rig.right.distortion[None]),
     ]
-    rectification = rectify(rig)
+    rectification = rectify(rig, size_wh=rig.left.size_wh, projection="pinhole")
     pair_keys: list[tuple[str, Any]] = [
         ("unit", "m" if rig.is_metric else "board pitch"),
         ("R", rig.T_right_left.R),

@@ -239,6 +239,19 @@ def match_templates(
     n_threads: int,
     /,
 ) -> None: ...
+def rectified_map(
+    model: str,
+    parameters: Floats,
+    rows: Floats,
+    columns: Floats,
+    size: Floats,
+    least_cosine: float,
+    outside: float,
+    map: Plane,
+    is_inside: ndarray,
+    n_threads: int,
+    /,
+) -> None: ...
 
 # library_words
 def begin_catching_words() -> None: ...

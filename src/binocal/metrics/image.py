@@ -14,7 +14,7 @@ from numpy import ndarray
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
-from binocal.rectification import rectify, rectify_points
+from binocal.rectification import rectify_points, row_rectification
 from binocal.shapes import Bool, Float, Int
 
 MIN_CORNERS_FOR_SCALE = 4  # a similarity of the plane has 4 unknowns; 4 corners leave as many again to spare
@@ -128,7 +128,7 @@ def rectified_row_error(rig: StereoRig, detections: Detections) -> RowError:
     Raises:
         DegenerateGeometryError: The rig cannot be rectified.
     """
-    rectification = rectify(rig)
+    rectification = row_rectification(rig)
     left = rectify_points(rig.left, rectification.R_rect_left, rectification.P_left, detections.left_px)
     right = rectify_points(rig.right, rectification.R_rect_right, rectification.P_right, detections.right_px)
     difference = (left - right)[..., 0 if rectification.is_vertical else 1]

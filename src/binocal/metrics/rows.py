@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from binocal.cameras import StereoRig
 from binocal.evidence.point_matches import PointMatches
-from binocal.rectification import rectify, rectify_points
+from binocal.rectification import rectify_points, row_rectification
 from binocal.shapes import Float
 
 COLUMNS, ROWS = 4, 3
@@ -35,7 +35,7 @@ def row_figures(rig: StereoRig, matches: PointMatches) -> RowFigures:
     Raises:
         DegenerateGeometryError: The rig cannot be rectified.
     """
-    rectification = rectify(rig)
+    rectification = row_rectification(rig)
     left = rectify_points(rig.left, rectification.R_rect_left, rectification.P_left, matches.left_px)
     right = rectify_points(rig.right, rectification.R_rect_right, rectification.P_right, matches.right_px)
     difference = (left - right)[:, 0 if rectification.is_vertical else 1]

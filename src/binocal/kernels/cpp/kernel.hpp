@@ -76,6 +76,7 @@ void register_library_words(nb::module_& module);
 void register_motion(nb::module_& module);
 void register_observe(nb::module_& module);
 void register_template_match(nb::module_& module);
+void register_rectified_map(nb::module_& module);
 void register_saddles(nb::module_& module);
 void register_xcorners(nb::module_& module);
 

@@ -14,6 +14,7 @@ NB_MODULE(_kernel, module) {
     binocal::register_motion(module);
     binocal::register_observe(module);
     binocal::register_template_match(module);
+    binocal::register_rectified_map(module);
     binocal::register_saddles(module);
     binocal::register_xcorners(module);
 }

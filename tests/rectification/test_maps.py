@@ -16,8 +16,8 @@ from rigs import DISTORTION, make_rig
 POINTS_M = np.random.default_rng(1).uniform([-0.15, -0.1, 0.5], [0.2, 0.1, 1.5], (200, 3))
 
 
-def rectified(rig: StereoRig, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    r = rectify(rig)
+def rectified(rig: StereoRig, points_m: np.ndarray, **options) -> tuple[np.ndarray, np.ndarray]:
+    r = rectify(rig, **options)
     left, right = rig.left.project(points_m), rig.right.project(rig.T_right_left.apply(points_m))
     return rectify_points(rig.left, r.R_rect_left, r.P_left, left), rectify_points(
         rig.right, r.R_rect_right, r.P_right, right
@@ -28,9 +28,9 @@ def rectified(rig: StereoRig, points_m: np.ndarray) -> tuple[np.ndarray, np.ndar
 @pytest.mark.parametrize("t", [(-0.06, 0.002, 0.004), (0.06, -0.003, 0.001), (0.002, -0.05, 0.003), (0.001, 0.05, 0.0)])
 def test_matching_points_share_a_row_or_a_column(model, t):
     rig = make_rig(model, t=t)
-    r = rectify(rig)
+    r = rectify(rig, projection="pinhole")
     assert r.is_vertical == (abs(t[1]) > abs(t[0])) and r.is_swapped == (t[1 if r.is_vertical else 0] > 0)
-    left, right = rectified(rig, POINTS_M)
+    left, right = rectified(rig, POINTS_M, projection="pinhole")
     across, along = (0, 1) if r.is_vertical else (1, 0)
     np.testing.assert_allclose(left[:, across], right[:, across], atol=1e-7)
     disparity_px = left[:, along] - right[:, along]
@@ -81,11 +81,12 @@ def test_the_map_is_the_inverse_of_the_points(model):
     rig = make_rig(model)
     r = rectify(rig)
     source, is_inside = rectification_map(rig.right, r.R_rect_right, r.P_right, r.size_wh)
-    assert source.shape == (960, 1280, 2) and 0.5 < is_inside.mean() <= 1
+    assert source.shape == (*r.size_wh[::-1], 2) and 0.9 < is_inside.mean() <= 1
+    assert is_inside.mean() == pytest.approx(r.covered[1], abs=0.015)
     assert np.array_equal(np.isfinite(source[..., 0]), is_inside)
     rows, columns = (index[::997] for index in np.nonzero(is_inside))
     back = rectify_points(rig.right, r.R_rect_right, r.P_right, source[rows, columns])
-    np.testing.assert_allclose(back, np.stack([columns, rows], axis=-1), atol=1e-5)
+    np.testing.assert_allclose(back, np.stack([columns, rows], axis=-1), atol=2e-4)  # the map is in single precision
 
 
 def test_the_rectified_rig_sees_what_rectification_says():
@@ -104,8 +105,8 @@ def test_a_rig_without_a_side_is_refused():
         rectify(make_rig(t=(-0.01, 0.0, 0.06)))
     with pytest.raises(DegenerateGeometryError, match="no baseline"):
         rectify(make_rig(t=(0.0, 0.0, 0.0)))
-    with pytest.raises(DegenerateGeometryError, match="looks 90 deg"):
-        rectify(make_rig(rotation_rad=(0.0, 3.1, 0.0), t=(0.06 * np.cos(1.55), 0.0, 0.06 * np.sin(1.55))))
+    with pytest.raises(DegenerateGeometryError, match="no field in common"):  # they diverge by 100 deg
+        rectify(make_rig(rotation_rad=(0.0, -1.75, 0.0), t=(-0.06 * np.cos(0.87), 0.0, -0.06 * np.sin(0.87))))
 
 
 def test_pixels_without_a_ray_are_nan():
