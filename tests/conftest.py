@@ -29,6 +29,7 @@ CHECKED = [
     "initialization",
     "set_checks",
     "rectification",
+    "uncertainty",
     "acceptance",
     "findings",
     "result",

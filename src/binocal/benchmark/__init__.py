@@ -102,6 +102,12 @@ def _training(**options: Any) -> dict[str, Any]:
     return run_training_benchmark(**options)
 
 
+def _uncertainty(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.uncertainty import run_uncertainty_benchmark
+
+    return run_uncertainty_benchmark(**options)
+
+
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "agent": _agent,
     "corners": _corners,
@@ -119,6 +125,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "solver": _solver,
     "sound": _sound,
     "training": _training,
+    "uncertainty": _uncertainty,
 }
 
 

@@ -400,6 +400,39 @@ def evaluate(
     return FINE
 
 
+@app.command()
+def uncertainty(
+    rig: Annotated[Path, typer.Argument(help="The calibration: rig.json.", metavar="RIG.JSON")],
+    ranges: Annotated[
+        str,
+        typer.Option("--range", help="From where to where depth is measured: 0.5-5m, or one range.", metavar="RANGE"),
+    ],
+    matching: Annotated[
+        str,
+        typer.Option("--matching", help="Standard deviation of a match's disparity, in pixels: 0.25px.", metavar="PX"),
+    ] = "0.25px",
+    json: Json = False,
+) -> int:
+    """Tell how far depth, rows and projection can be trusted, by range and place in the image."""
+    from binocal.app.uncertainty import tell_uncertainty
+    from binocal.cli import uncertainty as texts
+    from binocal.formats import rig_json
+
+    nearest, farthest, is_metric = _parse_range(ranges)
+    matching_px = _parse_pixels("--matching", matching)
+    calibration = rig_json.read_calibration(rig)
+    if calibration.rig.is_metric != is_metric:
+        unit = (
+            "metres: give --range a unit, such as 0.5-5m"
+            if not is_metric
+            else "board pitches: give --range without a unit"
+        )
+        raise DataError(f"{rig}: the rig is in {unit}.")
+    run = tell_uncertainty(calibration, nearest, farthest, matching_px=matching_px)
+    _present(texts.uncertainty_document(run), texts.uncertainty_text(run), json)
+    return FINE
+
+
 Dataset = Annotated[
     str | None,
     typer.Option(
@@ -793,6 +826,37 @@ def _parse_length(text: str | None) -> float | None:
     if not is_metric:
         raise typer.BadParameter(f"--baseline {text} needs a unit: mm, cm, m or in.")
     return length_m
+
+
+def _parse_range(text: str) -> tuple[float, float, bool]:
+    """Nearest and farthest of a range such as 0.5-5m, and whether it has a unit; one range is both."""
+    from binocal.boards.board import parse_length
+
+    first, dash, last = text.strip().partition("-")
+    unit = last.lstrip("0123456789. ")
+    if dash and not first.strip().endswith("m") and not first.strip().endswith("in"):
+        first += unit  # it stands once, at the end
+    try:
+        near, is_metric = parse_length(first)
+        far, has_unit = parse_length(last) if dash else (near, is_metric)
+    except ValueError as error:
+        raise typer.BadParameter(f"--range {text!r} is no range such as 0.5-5m: {error}.") from None
+    if has_unit != is_metric:
+        raise typer.BadParameter(f"--range {text!r}: give both ends a unit, or neither.")
+    if not 0 < near <= far < math.inf:
+        raise typer.BadParameter(f"--range {text!r} must run from near to far, above 0.")
+    return near, far, is_metric
+
+
+def _parse_pixels(option: str, text: str) -> float:
+    """Pixels with or without their unit."""
+    try:
+        value = float(text.strip().removesuffix("px"))
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise typer.BadParameter(f"{option} {text!r} is not a number of pixels such as 0.25px.")
+    return value
 
 
 def _natural_source(left: str | None, right: str | None, dataset: str | None, rig: Path | None) -> Any:
