@@ -38,6 +38,12 @@ EXPLANATIONS = {
         moved from the prior, is compared with the noise and with the prior's standard deviations. At five standard deviations
         over all its parameters one of the two is wrong: the rig was dropped, refocused or mounted anew, or the prior is of
         another rig. What is held exactly counts as well.""",
+    "rig-disagrees": """
+        New images of a board are solved with the rig as a wide prior, and what they say is compared with the rig in units of
+        both standard deviations, in every direction of which they tell anything. By chance a rig that has not changed is
+        said to have once in ten thousand times. The change that explains most is named: a camera that turned against the
+        other, was shifted or refocused, or whose image was shifted (a turn and a shift of the image look alike). Which of the
+        two cameras it was, corners cannot always tell.""",
     "prior-doubtful": """
         As for a contradicted prior, but less: by chance it happens once in ten thousand calibrations of a rig that has not
         changed. On real rigs stated standard deviations are often too small, which shows in the same way.""",

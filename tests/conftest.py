@@ -30,6 +30,8 @@ CHECKED = [
     "set_checks",
     "rectification",
     "uncertainty",
+    "requirements",
+    "planning",
     "acceptance",
     "findings",
     "result",

@@ -569,6 +569,12 @@ _KINDS = (
         "calibrate with images of the camera's own resolution, not resized or enlarged, whose paper does not saturate",
     ),
     FindingKind(
+        "rig-disagrees", _W, "New images do not agree with the rig",
+        "the images do not agree with the rig as its standard deviations allow ({difference_sigma:.1f} of them, RMS over {n_directions} "
+        "directions; p = {p_value:.1g}): {what}; {remedy}.",
+        "calibrate anew; where that does not last, look for what is loose",
+    ),
+    FindingKind(
         "corners-burnt-out", _W, "The board's paper saturates, and its corners are drawn to places between the pixels",
         "the board's paper is saturated in {images_percent:.0f} % of the {camera} images, which makes edges too sharp for the pixels: an "
         "error of up to {amplitude_px:.2f} px repeats with them ({share_percent:.0f} % of the residuals' variance) and was taken out; "

@@ -12,6 +12,12 @@ def _solver(**options: Any) -> dict[str, Any]:
     return run_solver_benchmark(**options)
 
 
+def _plan(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.plan import run_plan_benchmark
+
+    return run_plan_benchmark(**options)
+
+
 def _precision(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.precision import run_precision_benchmark
 
@@ -118,6 +124,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "fisheye": _fisheye,
     "natural": _natural,
     "pipeline": _pipeline,
+    "plan": _plan,
     "precision": _precision,
     "real": _real,
     "rig": _rig,

@@ -73,6 +73,17 @@ Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 
+Needs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--require",
+        help="A need, repeatable: 'depth 1% at 5m' (also 'with 0.25px' of matching), 'row 0.1px', 'baseline 0.02%', 'focal 0.05%', "
+        "'reprojection 0.3px'. Exit with 4 unless all are proven to be met; what is not gets a plan of views that help.",
+        metavar="NEED",
+    ),
+]
+
+
 def _finite(value: float | None) -> float | None:
     """A number that an option can use: typer's own limits let ``inf`` and ``nan`` pass."""
     if value is not None and not math.isfinite(value):
@@ -231,6 +242,7 @@ def calibrate(
         float | None,
         typer.Option("--max-rms", help="Exit with 4 if the RMS is above.", metavar="PX", min=0.0, callback=_finite),
     ] = None,
+    require: Needs = None,
     opencv: Annotated[
         Path | None,
         typer.Option("--opencv", help="Also write OpenCV YAML: a .yml file, or a folder for two.", metavar="PATH"),
@@ -248,6 +260,7 @@ def calibrate(
     from binocal.output import check_output
 
     parsed = _parse_board(board)
+    needs = _parse_needs(require, is_metric=parsed.is_metric)
     _check_calibrator(calibrator)
     if opencv is not None and skew:
         raise typer.BadParameter("OpenCV's functions ignore skew; leave out --skew or --opencv.")
@@ -280,7 +293,16 @@ def calibrate(
     if evidence is not None:
         document["evidence"] = str(evidence)
     beside = [path for path in (evidence, opencv) if path is not None]
-    _present(document, tables.calibration_text(run, output, beside, max_rms), json)
+    text = tables.calibration_text(run, output, beside, max_rms)
+    if needs:
+        from binocal.app.needs import judge_calibration
+        from binocal.cli.needs import needs_document, needs_text
+
+        report = judge_calibration(run.calibration, needs, parsed)
+        is_good = is_good and report.is_met
+        document |= needs_document(report)
+        text = "\n".join([*needs_text(report, run.calibration.rig.printed_unit), "", text])
+    _present(document, text, json)
     return FINE if is_good else BELOW_QUALITY
 
 
@@ -375,6 +397,7 @@ def evaluate(
     left: Annotated[str | None, typer.Option("--left", help="Held-out left images.", metavar="GLOB")] = None,
     right: Annotated[str | None, typer.Option("--right", help="Held-out right images.", metavar="GLOB")] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    require: Needs = None,
     threads: Threads = None,
     json: Json = False,
 ) -> int:
@@ -388,16 +411,42 @@ def evaluate(
     on_images = (left, right, board)
     if (truth is None) == (on_images == (None, None, None)) or (truth is None and None in on_images):
         raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
+    needs = _parse_needs(require, is_metric=None)
     if truth is not None:
-        against_truth = verbs.evaluate_truth(rig_json.read_calibration(rig), rig_json.read_truth(truth))
-        _present(documents.truth_evaluation_document(against_truth), tables.truth_text(against_truth), json)
-        return FINE
-    read = load_rig(rig)
+        calibration, known = rig_json.read_calibration(rig), rig_json.read_truth(truth)
+        against_truth = verbs.evaluate_truth(calibration, known)
+        document, text, is_good = (
+            documents.truth_evaluation_document(against_truth),
+            tables.truth_text(against_truth),
+            True,
+        )
+        if needs:
+            from binocal.app.needs import judge_against_truth
+            from binocal.cli.needs import needs_document, needs_text
+
+            report = judge_against_truth(calibration, known.rig, needs)
+            document, is_good = document | needs_document(report), report.is_met
+            text = "\n".join([*needs_text(report, calibration.rig.printed_unit), "", text])
+        _present(document, text, json)
+        return FINE if is_good else BELOW_QUALITY
+    parsed = _parse_board(str(board))
+    calibration = rig_json.read_calibration(rig) if rig_json.holds_calibration(rig) else None
+    read = load_rig(rig) if calibration is None else calibration.rig
     with progress_on_terminal() as progress:
-        on_held_out = verbs.evaluate_images(read, str(left), str(right), _parse_board(str(board)), progress=progress)
-    tables.list_left_out(on_held_out.ignored, on_held_out.rejected, on_held_out.notes)
-    _present(documents.images_document(on_held_out), tables.images_text(on_held_out, read.is_metric), json)
-    return FINE
+        seen = verbs.evaluate_images(read, str(left), str(right), parsed, calibration=calibration, progress=progress)
+    tables.list_left_out(seen.ignored, seen.rejected, seen.notes)
+    document, text = documents.images_document(seen), tables.images_text(seen, read.is_metric)
+    is_good = not seen.findings
+    if needs:
+        from binocal.app.needs import judge_on_images
+        from binocal.cli.needs import needs_document, needs_text
+
+        assert seen.detections is not None
+        report = judge_on_images(read, calibration, needs, (seen.detections, seen.pixel_error), seen.agreement, parsed)
+        document, is_good = document | needs_document(report), is_good and report.is_met
+        text = "\n".join([*needs_text(report, read.printed_unit), "", text])
+    _present(document, text, json)
+    return FINE if is_good else BELOW_QUALITY
 
 
 @app.command()
@@ -826,6 +875,15 @@ def _parse_length(text: str | None) -> float | None:
     if not is_metric:
         raise typer.BadParameter(f"--baseline {text} needs a unit: mm, cm, m or in.")
     return length_m
+
+
+def _parse_needs(texts: list[str] | None, *, is_metric: bool | None) -> Any:
+    """The requirements of ``--require``; none where it is not given, and then nothing is loaded for it."""
+    if not texts:
+        return ()
+    from binocal.cli.needs import parse_needs
+
+    return parse_needs(texts, is_metric=is_metric)
 
 
 def _parse_range(text: str) -> tuple[float, float, bool]:
