@@ -42,6 +42,7 @@ LABELS = {
     "rl": "agent, environment, training",
     "simulation": "rigs, views, images",
     "solvers": "problem, loop, covariance",
+    "validation": "a rig tested on its own corners",
     "uncertainty": "sigmas of depth, rows, projection",
 }
 """What stands in each package. Modules that nearly all import (errors, shapes, ...) are left out."""

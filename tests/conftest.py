@@ -32,6 +32,7 @@ CHECKED = [
     "uncertainty",
     "requirements",
     "planning",
+    "validation",
     "acceptance",
     "findings",
     "result",

@@ -243,6 +243,13 @@ def calibrate(
         typer.Option("--max-rms", help="Exit with 4 if the RMS is above.", metavar="PX", min=0.0, callback=_finite),
     ] = None,
     require: Needs = None,
+    checks: Annotated[
+        bool,
+        typer.Option(
+            "--checks/--no-checks",
+            help="Put the rig to the test on its own corners: two halves of the views, a freer lens, the residuals.",
+        ),
+    ] = True,
     opencv: Annotated[
         Path | None,
         typer.Option("--opencv", help="Also write OpenCV YAML: a .yml file, or a folder for two.", metavar="PATH"),
@@ -254,6 +261,7 @@ def calibrate(
     """Calibrate a stereo rig from images of a board."""
     from binocal import app as verbs
     from binocal.cli import documents, tables
+    from binocal.cli.checks import checks_document, show_checks
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats.board_file import read_measured_board
     from binocal.formats.opencv_yaml import check_opencv_output
@@ -286,6 +294,7 @@ def calibrate(
         run = verbs.calibrate_images(
             left, right, parsed, request, calibrator=calibrator, preprocess=preprocess, measured_board=measured_board
         )
+        run = verbs.with_checks(run, request) if checks else run
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     _write_calibration(run, output, evidence, opencv, force)
     is_good = max_rms is None or run.calibration.rms.all_px <= max_rms
@@ -302,7 +311,10 @@ def calibrate(
         is_good = is_good and report.is_met
         document |= needs_document(report)
         text = "\n".join([*needs_text(report, run.calibration.rig.printed_unit), "", text])
+    document["checks"] = checks_document(run.checks)
     _present(document, text, json)
+    if not json:
+        show_checks(run.checks)
     return FINE if is_good else BELOW_QUALITY
 
 
