@@ -34,12 +34,16 @@ LABELS = {
     "kernels": "C++: inner loops",
     "matching": "points that both cameras saw",
     "metrics": "figures of merit",
+    "planning": "which views to take next",
     "rectification": "maps, disparity, depth",
     "report": "figures",
+    "requirements": "what a user needs, verdicts",
     "result": "a calibration",
     "rl": "agent, environment, training",
     "simulation": "rigs, views, images",
     "solvers": "problem, loop, covariance",
+    "validation": "a rig tested on its own corners",
+    "uncertainty": "sigmas of depth, rows, projection",
 }
 """What stands in each package. Modules that nearly all import (errors, shapes, ...) are left out."""
 

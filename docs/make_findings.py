@@ -38,6 +38,41 @@ EXPLANATIONS = {
         moved from the prior, is compared with the noise and with the prior's standard deviations. At five standard deviations
         over all its parameters one of the two is wrong: the rig was dropped, refocused or mounted anew, or the prior is of
         another rig. What is held exactly counts as well.""",
+    "halves-disagree": """
+        Every other view goes into one of two halves, each is calibrated alone, and what the first sees the second measures.
+        The difference of depth is compared with what both state, over the image, at the boards' distance and at three times
+        that. Three standard deviations (RMS) are far beyond chance and beyond any sound recording: halves of nine real ones
+        reach 1.9. What the views disagree about is then larger than what they have in common.""",
+    "halves-agree": """
+        As for halves that disagree, but within what their standard deviations allow. The differences are those of half of the
+        views: the whole is better by about the root of two.""",
+    "halves-undetermined": """
+        Two halves need at least four views each, and each of them must determine the rig: a set of few views, or one that
+        rests on a few of its views, cannot be tested so.""",
+    "lens-model-misfits": """
+        What residuals point outwards by is fitted as a free function of the distance from the principal point, to all views but
+        a block, and taken from that block's corners. If the rectified rows of the blocks fall clearly (by a twentieth of their
+        squares and by three standard errors), the lens does what its model cannot. Rows are then wrong where no board was
+        seen, by more than the standard deviations say.""",
+    "lens-model-suffices": """
+        As for a lens that its model cannot follow, but a free profile would predict views left out no better.""",
+    "rays-everywhere": """
+        The distortion moves points outwards all the way to the corners of both images, so that every pixel belongs to one
+        direction.""",
+    "residuals-correlated": """
+        Residuals of neighbouring corners of an image should be independent. Where they are alike (a lens that its model does
+        not follow, a board that bends from view to view, corners measured from the same pixels), fewer corners tell of the
+        rig than were counted. Usually what views have in common shows, and the standard deviations count it; here they do
+        not.""",
+    "residuals-checked": """
+        Residuals of neighbouring corners of an image should be independent. Real ones are alike to some degree; where the
+        standard deviations were widened for what views have in common, that is counted.""",
+    "rig-disagrees": """
+        New images of a board are solved with the rig as a wide prior, and what they say is compared with the rig in units of
+        both standard deviations, in every direction of which they tell anything. By chance a rig that has not changed is
+        said to have once in ten thousand times. The change that explains most is named: a camera that turned against the
+        other, was shifted or refocused, or whose image was shifted (a turn and a shift of the image look alike). Which of the
+        two cameras it was, corners cannot always tell.""",
     "prior-doubtful": """
         As for a contradicted prior, but less: by chance it happens once in ten thousand calibrations of a rig that has not
         changed. On real rigs stated standard deviations are often too small, which shows in the same way.""",

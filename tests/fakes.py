@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import binocal.metrics.held_out  # noqa: F401 - bound to the real simulation
+import binocal.calibrators.agreement  # bound to the real solvers
+import binocal.metrics.held_out  # bound to the real simulation
+import binocal.validation  # noqa: F401 - bound to the real calibrators
 from binocal.calibrators import load_calibrator
 from binocal.findings import finding
 from binocal.result import Covariance, Evidence, RejectedView, ResidualSummary, StereoCalibration, ViewResult

@@ -569,6 +569,31 @@ _KINDS = (
         "calibrate with images of the camera's own resolution, not resized or enlarged, whose paper does not saturate",
     ),
     FindingKind(
+        "halves-disagree", _W, "Two halves of the views give other depths than their standard deviations allow",
+        "two halves of the views differ by {depth_percent:.2g} % in depth at {range:.2g} {unit}, where {stated_percent:.2g} % is stated "
+        "({over_sigma:.1f} standard deviations, RMS), and by {projection_px:.2g} px in projection: something changed between the views, "
+        "or bends them alike; {remedy}.",
+        "take the board at rest, all over the images, and check the focus and the mounts",
+    ),
+    FindingKind(
+        "lens-model-misfits", _W, "The lens bends light as its model cannot",
+        "a free radial profile would lower the squared rows of views left out by {share_percent:.2g} % ({standard_errors:.1f} standard "
+        "errors): corners lie up to {profile_px:.2g} px from where {model} has them; {remedy}.",
+        "try --model auto, or a model with more coefficients",
+    ),
+    FindingKind(
+        "residuals-correlated", _W, "Errors of neighbouring corners are alike, and the standard deviations do not count it",
+        "residuals of neighbouring corners correlate by {correlation:.2f} ({common_px:.2g} px in common), which the standard deviations "
+        "do not count: they are too small; {remedy}.",
+        "take more views, so that what they have in common shows, or give the corners' cross-covariances",
+    ),
+    FindingKind(
+        "rig-disagrees", _W, "New images do not agree with the rig",
+        "the images do not agree with the rig as its standard deviations allow ({difference_sigma:.1f} of them, RMS over {n_directions} "
+        "directions; p = {p_value:.1g}): {what}; {remedy}.",
+        "calibrate anew; where that does not last, look for what is loose",
+    ),
+    FindingKind(
         "corners-burnt-out", _W, "The board's paper saturates, and its corners are drawn to places between the pixels",
         "the board's paper is saturated in {images_percent:.0f} % of the {camera} images, which makes edges too sharp for the pixels: an "
         "error of up to {amplitude_px:.2f} px repeats with them ({share_percent:.0f} % of the residuals' variance) and was taken out; "
@@ -598,6 +623,28 @@ _KINDS = (
         "the images, within {share_percent:.0f} % of their size (one standard deviation); what follows from that is in the "
         "standard deviations.",
         "",
+    ),
+    FindingKind(
+        "halves-agree", _N, "Two halves of the views agree within their standard deviations",
+        "two halves of the views differ by {depth_percent:.2g} % in depth at {range:.2g} {unit} ({over_sigma:.1f} of the stated standard "
+        "deviations, RMS) and by {projection_px:.2g} px in projection", "",
+    ),
+    FindingKind(
+        "halves-undetermined", _N, "The views do not suffice for a test on two halves",
+        "the {n_views} views were not tested in two halves: {why}", "",
+    ),
+    FindingKind(
+        "lens-model-suffices", _N, "A freer lens would not predict views left out any better",
+        "a free radial profile of the lens would lower the squared rows of views left out by {share_percent:.1f} %, and move corners by "
+        "up to {profile_px:.2g} px", "",
+    ),
+    FindingKind(
+        "rays-everywhere", _N, "Every pixel has a ray", "the distortion rises all over both images: every pixel has a ray", "",
+    ),
+    FindingKind(
+        "residuals-checked", _N, "Errors of neighbouring corners are independent, or counted",
+        "residuals of neighbouring corners correlate by {correlation:+.2f} ± {sigma:.2f} ({common_px:.2g} px in common); standard "
+        "deviations count a factor of {sigma_factor:.1f} for what views have in common", "",
     ),
     FindingKind(
         "images-differ-in-noise", _N, "Corners of some images are much noisier than those of others",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy import ndarray
@@ -17,6 +17,10 @@ from binocal.evidence.pixel_locking import RigLocking
 from binocal.findings import Finding, Severity
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
+from binocal.uncertainty import Covariance, DepthSigma, MeanBoardPose, common_field, depth_sigma
+from binocal.uncertainty import projection_sigma_px as projection_sigma_px_of
+from binocal.uncertainty import row_sigma_px as row_sigma_px_of
+from binocal.uncertainty.depth import points_at
 from binocal.values import ArrayValue, frozen_array, with_sigma
 
 SAME_RMS_PX, SAME_RMS_SHARE = (
@@ -24,38 +28,6 @@ SAME_RMS_PX, SAME_RMS_SHARE = (
     1e-6,
 )  # two ways to compute one RMS differ by 1e-12 px; other corners by 1e-3 and more
 _NOT_THESE = "these are not the corners that the calibration was made from"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Covariance(ArrayValue):
-    """Covariance of the rig's estimated parameters, by name.
-
-    Names: ``left.fx`` … ``left.k1`` …, ``right.…``, ``rotation.x/y/z`` (a small rotation vector in radians that
-    multiplies ``R`` from the left, so it lives in the right camera's frame), ``translation.x/y/z`` (metres, or board
-    pitches without a scale).
-    """
-
-    names: tuple[str, ...]
-    matrix: Float[ndarray, "p p"]
-
-    def __post_init__(self) -> None:
-        matrix = frozen_array(self.matrix)
-        if matrix.shape != (len(self.names),) * 2:
-            raise ValueError(f"{len(self.names)} names for a covariance of shape {matrix.shape}")
-        object.__setattr__(self, "matrix", matrix)
-
-    @property
-    def sigma(self) -> dict[str, float]:
-        """Standard deviation of each parameter."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
-
-    def block(self, name: str) -> Float[ndarray, "3 3"]:
-        """Covariance of ``rotation`` or ``translation``, in the order x, y, z; NaN where it was not estimated."""
-        wanted = [f"{name}.{axis}" for axis in "xyz"]
-        if not set(wanted) <= set(self.names):
-            return np.full((3, 3), np.nan)
-        index = [self.names.index(item) for item in wanted]
-        return self.matrix[np.ix_(index, index)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +187,8 @@ class StereoCalibration:
     """How each camera alone fits against the pair; None where that is not known."""
     nominal_noise_px: float | None = None
     """``noise_px`` as it would be with the board held as drawn and the exposures together; None where that is not known."""
+    mean_board_pose: MeanBoardPose | None = None
+    """How the boards' mean pose errs with the rig, which :meth:`projection_sigma_px` needs; None where that is not known."""
     extra: Mapping[str, Any] = field(default_factory=dict)
     """What the file that it was read from says beyond this class, by key; written back as it is."""
 
@@ -362,3 +336,89 @@ class StereoCalibration:
         """Standard deviation of the baseline, metres (board pitches without a scale); NaN where unknown."""
         along = self.rig.T_right_left.t / self.rig.baseline_m
         return float(np.sqrt(np.maximum(along @ self.covariance.block("translation") @ along, 0.0)))
+
+    @property
+    def board_scale_sigma(self) -> float:
+        """Relative standard deviation of the board's size, 0 where the board was not measured: its print then says nothing."""
+        return 0.0 if self.board_shape is None else self.board_shape.scale_sigma
+
+    def depth_sigma(
+        self,
+        point_or_range: Float[ndarray, "*n 3"] | float,
+        *,
+        left_px: Float[ndarray, "2"] | None = None,
+        matching_px: float = 0.0,
+    ) -> DepthSigma:
+        """Standard deviation of depth at points of the left frame, (..., 3), or at a range and a place in the left image.
+
+        Lengths are metres (board pitches without a scale). A range without ``left_px`` is looked at in the middle of what both
+        cameras see there. ``matching_px`` is the standard deviation of a disparity. See :func:`binocal.uncertainty.depth_sigma`.
+
+        Raises:
+            ValueError: The range is not above 0, or the points are not (..., 3).
+            DataError: The calibration states no covariance.
+        """
+        given = np.asarray(point_or_range, dtype=float)
+        if given.ndim == 0:
+            if not 0 < given < np.inf:
+                raise ValueError(f"a range is a length above 0; got {float(given)}")
+            if left_px is None:
+                field = common_field(self.rig, float(given))
+                points = field.points[field.middle]
+            else:
+                points = points_at(self.rig, np.asarray(left_px, dtype=float), float(given))
+        elif given.shape[-1] == 3 and left_px is None:
+            points = given
+        else:
+            raise ValueError(f"give points as (..., 3), or a range as one number; got {given.shape}")
+        return depth_sigma(
+            self.rig,
+            self.stated_covariance,
+            points,
+            matching_px=matching_px,
+            board_scale_sigma=self.board_scale_sigma,
+        )
+
+    def row_sigma_px(
+        self, left_px: Float[ndarray, "*n 2"], *, range_m: Float[ndarray, "*n"] | float = np.inf
+    ) -> Float[ndarray, "*n"]:
+        """Standard deviation of the row error after rectification at left pixels; see :func:`binocal.uncertainty.row_sigma_px`.
+
+        Raises:
+            DataError: The calibration states no covariance.
+        """
+        return row_sigma_px_of(self.rig, self.stated_covariance, left_px, range_m)
+
+    def projection_sigma_px(
+        self,
+        side: Literal["left", "right"],
+        px: Float[ndarray, "*n 2"],
+        *,
+        range_m: Float[ndarray, "*n"] | float = np.inf,
+    ) -> Float[ndarray, "*n"]:
+        """Standard deviation of a camera's projection in its worst direction; see :func:`binocal.uncertainty.projection_sigma_px`.
+
+        Raises:
+            DataError: The calibration does not say how the board poses err with the rig.
+        """
+        if side not in ("left", "right"):
+            raise ValueError(f"a rig has a left and a right camera; got {side!r}")
+        if self.mean_board_pose is None:
+            raise DataError(
+                "this calibration does not say how its board poses err with its cameras (an older file): calibrate anew, and "
+                "projection uncertainty can be told."
+            )
+        return projection_sigma_px_of(self.rig, self.stated_covariance, self.mean_board_pose, side, px, range_m)
+
+    @property
+    def stated_covariance(self) -> Covariance:
+        """``covariance``, for whoever cannot do without.
+
+        Raises:
+            DataError: It has none, or unknown entries.
+        """
+        if not self.covariance.names or not np.isfinite(self.covariance.matrix).all():
+            raise DataError(
+                "this calibration states no covariance of its parameters, so no uncertainty follows: calibrate anew."
+            )
+        return self.covariance

@@ -8,6 +8,7 @@ import pytest
 from binocal.benchmark.halves import (
     Estimate,
     baseline_sigma_without_board_scale,
+    depth_scores,
     differences,
     differences_by_split,
     held_out_rows,
@@ -15,6 +16,7 @@ from binocal.benchmark.halves import (
     row_errors,
     split_halves,
     stated_sigmas,
+    summarise_depth,
     summarise_z,
     z_scores,
 )
@@ -130,6 +132,27 @@ def test_shares_and_rms_of_scores():
     assert rotation["rms"] == pytest.approx(np.sqrt((0.25 + 2.25 + 6.25) / 5))
     assert summary["all"]["n"] == 23 and summary["all"]["within_2"] == pytest.approx(20 / 23)
     assert np.isnan(summarise_z(np.zeros((0, 12)))["all"]["rms"])
+
+
+def test_depth_scores_are_those_of_the_same_pixels_through_both_rigs():
+    from dataclasses import replace
+
+    from binocal.boards import parse_board
+
+    rng, rig, board = np.random.default_rng(4), table2_rig(), parse_board("chessboard:8x6:25mm")
+    scene = StereoScene(rig, board, sample_board_poses(rig, board, 8, rng))
+    calibration = calibrate(simulate_detections(scene, rng, noise_px=0.1), model="brown4")
+    T = calibration.rig.T_right_left
+    longer = replace(
+        calibration, rig=replace(calibration.rig, T_right_left=SE3(T.R, 1.01 * T.t))
+    )  # all depths 1 % more
+    a, b = (Estimate(c.rig, calibration=c) for c in (calibration, longer))
+    (z,) = depth_scores([(a, b), (a, Estimate(failure="none"))])
+    assert np.all(z > 0) and len(z) > 200
+    told = calibration.depth_sigma(float(np.median(np.linalg.norm(calibration.T_left_board.t, axis=1))))
+    assert 0.01 / (np.sqrt(2) * told.calibration_m / told.depth_m) == pytest.approx(z[: len(z) // 2].max(), rel=0.2)
+    assert summarise_depth([np.array([1.0, 1.0]), np.array([0.0])])["rms"] == pytest.approx(np.sqrt(0.5))
+    assert np.isnan(summarise_depth([])["rms"])
 
 
 def test_stated_sigmas_stand_in_the_order_of_the_groups():

@@ -67,7 +67,7 @@ def test_orders_are_repaired_and_rejected_views_left_out_for_all(without_mrcal):
     px = turned.left_px.copy()
     px[5] = px[5][rng.permutation(48)]  # no order repairs this
     spoiled = real.Detections.from_arrays(turned.object_points_m, px, turned.right_px, turned.left_size_wh)
-    row, _ = run_set(RealSet(SetSource("spoiled", Path()), spoiled, None), 2, 0)
+    row, *_ = run_set(RealSet(SetSource("spoiled", Path()), spoiled, None), 2, 0)
     assert (row["views"], row["views_given"]) == (13, 14)
     assert all(found["rows_rms_px"] < 0.2 for found in row["methods"].values())
 

@@ -6,7 +6,7 @@ Each verb takes plain values, returns one, and neither prints nor reads the envi
 
 from __future__ import annotations
 
-from binocal.app.calibrate import CalibrationRun, calibrate_images
+from binocal.app.calibrate import CalibrationRun, calibrate_images, with_checks
 from binocal.app.demo import DemoCase, demo
 from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_images, evaluate_truth
 from binocal.app.simulate import SimulateOptions, simulate, simulate_scene
@@ -30,4 +30,5 @@ __all__ = [
     "simulate",
     "simulate_scene",
     "train",
+    "with_checks",
 ]

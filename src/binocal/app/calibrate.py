@@ -18,6 +18,7 @@ from binocal.evidence import Detections
 from binocal.findings import Finding, finding
 from binocal.formats import rig_json
 from binocal.result import BoardShape, StereoCalibration
+from binocal.validation.overview import CheckLine
 
 MOST_OF_IMAGES = 0.5  # of a camera, in which the paper saturates, for that to be why its corners lock to the pixels
 SAME_BOARD_SHARE = 0.05  # of the board's size; prints are off by 1 %, bows by 2 %
@@ -36,6 +37,27 @@ class CalibrationRun:
     ignored: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     elapsed_s: Mapping[str, float] = field(default_factory=dict)
+    checks: tuple[CheckLine, ...] = ()
+    """The calibration put to the test on its own corners, in ten lines; empty where that was not asked for."""
+
+
+def with_checks(run: CalibrationRun, request: CalibrationRequest | None = None) -> CalibrationRun:
+    """The run with its calibration put to the test; what is found wrong joins the calibration's findings, the gravest first.
+
+    Raises:
+        CancelledError: ``request.should_stop`` returned True.
+    """
+    from binocal.validation import overview, validate
+
+    started = time.perf_counter()
+    report = validate(run.calibration, request)
+    calibration = replace(run.calibration, findings=(*run.calibration.findings, *report.warnings))
+    return replace(
+        run,
+        calibration=calibration,
+        checks=overview(calibration, report),
+        elapsed_s={**run.elapsed_s, "checks": time.perf_counter() - started},
+    )
 
 
 def calibrate_images(

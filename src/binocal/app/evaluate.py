@@ -11,10 +11,12 @@ from binocal.boards import Board
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
 from binocal.evidence import Detections
+from binocal.findings import Finding
 from binocal.formats import rig_json
 from binocal.metrics import image, pose
 from binocal.metrics.held_out import Criterion, criteria_on_exact_views, exact_views, is_inside
 from binocal.progress import ProgressCallback, ShouldStop
+from binocal.requirements.agreement import Agreement
 from binocal.result import Covariance, RejectedView, StereoCalibration
 
 EXACT_VIEWS = 20
@@ -47,6 +49,16 @@ class ImageEvaluation:
     rejected: tuple[RejectedView, ...] = ()
     ignored: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    detections: Detections | None = None
+    """The corners, in the order that the rig gave them."""
+    agreement: Agreement | None = None
+    """The images against the rig's own standard deviations; None where it states none."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the comparison with the rig has to say."""
+        found = None if self.agreement is None else self.agreement.finding
+        return () if found is None else (found,)
 
 
 def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, seed: int = 0) -> TruthEvaluation:
@@ -89,10 +101,13 @@ def evaluate_images(
     right: str,
     board: Board,
     *,
+    calibration: StereoCalibration | None = None,
     progress: ProgressCallback | None = None,
     should_stop: ShouldStop | None = None,
 ) -> ImageEvaluation:
     """Pixel error, rectified row error and measured lengths of a rig on images of a board.
+
+    With the ``calibration`` that the rig is of, also whether the images agree with it as far as its standard deviations allow.
 
     Raises:
         DataError: The images cannot be used, their size is not the rig's, or the board lacks the length it needs.
@@ -115,11 +130,16 @@ def evaluate_images(
         detections = replace(detections, object_points_m=detections.object_points_m / board.pitch_m, is_metric=False)
         side_m /= board.pitch_m
         notes.append("the rig is in board pitches: lengths are compared as if this board had calibrated it.")
-    return _evaluate_detections(rig, detections, side_m, found, notes)
+    return _evaluate_detections(rig, detections, side_m, found, notes, calibration)
 
 
 def _evaluate_detections(
-    rig: StereoRig, detections: Detections, side_m: float, found: FoundCorners, notes: list[str]
+    rig: StereoRig,
+    detections: Detections,
+    side_m: float,
+    found: FoundCorners,
+    notes: list[str],
+    calibration: StereoCalibration | None,
 ) -> ImageEvaluation:
     from binocal.metrics.order import order_corners
 
@@ -140,8 +160,24 @@ def _evaluate_detections(
         row_error = None
         notes.append(f"no row error: {error}")
     lengths = image.length_error(rig, detections, side_m=side_m)
+    agreement = None
+    if calibration is not None:
+        from binocal.calibrators.agreement import measure_agreement
+
+        try:
+            agreement = measure_agreement(calibration, detections, ordered.T_left_board)
+        except (DataError, CalibrationError) as error:
+            notes.append(f"not compared with the rig's standard deviations: {error}")
     return ImageEvaluation(
-        pixel_error, row_error, lengths, detections.names, found.rejected, found.ignored, tuple(notes)
+        pixel_error,
+        row_error,
+        lengths,
+        detections.names,
+        found.rejected,
+        found.ignored,
+        tuple(notes),
+        detections,
+        agreement,
     )
 
 

@@ -12,6 +12,12 @@ def _solver(**options: Any) -> dict[str, Any]:
     return run_solver_benchmark(**options)
 
 
+def _plan(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.plan import run_plan_benchmark
+
+    return run_plan_benchmark(**options)
+
+
 def _precision(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.precision import run_precision_benchmark
 
@@ -108,6 +114,12 @@ def _training(**options: Any) -> dict[str, Any]:
     return run_training_benchmark(**options)
 
 
+def _uncertainty(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.uncertainty import run_uncertainty_benchmark
+
+    return run_uncertainty_benchmark(**options)
+
+
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "agent": _agent,
     "corners": _corners,
@@ -118,6 +130,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "fisheye": _fisheye,
     "natural": _natural,
     "pipeline": _pipeline,
+    "plan": _plan,
     "precision": _precision,
     "real": _real,
     "rectification": _rectification,
@@ -126,6 +139,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "solver": _solver,
     "sound": _sound,
     "training": _training,
+    "uncertainty": _uncertainty,
 }
 
 

@@ -12,13 +12,16 @@ from binocal.cameras import StereoRig
 from binocal.errors import BinocalError
 from binocal.evidence import Detections
 from binocal.geometry import so3
+from binocal.metrics.image import triangulate
 from binocal.rectification import rectify_points, row_rectification
 from binocal.result import StereoCalibration
 from binocal.shapes import Float, Int
+from binocal.uncertainty import common_field, depth_sigma
 
 GROUPS = {"baseline": slice(0, 1), "rotation": slice(1, 4), "focal": slice(4, 8), "centre": slice(8, 12)}
 """Places in the vector of compared figures: baseline (m), rotation vector (rad), focal lengths and principal points (px)."""
 N_FIGURES = 12
+DEPTH_RANGES = (1.0, 3.0)  # times the boards' median distance
 _INTRINSICS = tuple(
     f"{side}.{name}" for pair in (("fx", "fy"), ("cx", "cy")) for side in ("left", "right") for name in pair
 )
@@ -100,6 +103,8 @@ class Estimate:
     sigmas: Float[ndarray, "12"] | None = None
     findings: tuple[str, ...] = ()
     failure: str = ""
+    calibration: StereoCalibration | None = None
+    """Of a method of ours: what it states of depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +157,46 @@ def z_scores(pairs: Sequence[tuple[Estimate, Estimate]]) -> Float[ndarray, "spli
         if a.rig is not None and b.rig is not None and a.sigmas is not None and b.sigmas is not None
     ]
     return np.array(scores).reshape(-1, N_FIGURES)
+
+
+def depth_scores(pairs: Sequence[tuple[Estimate, Estimate]]) -> list[Float[ndarray, "_"]]:
+    """Differences of the halves' depths over their stated sigma, split by split, over the image at :data:`DEPTH_RANGES`.
+
+    What the first half's rig sees at a place and range, the second's measures from the same pixels. The size of the board, which
+    both share, does not count. Splits in which a half failed, or no place is seen by both cameras, are left out.
+    """
+    scores = []
+    for a, b in pairs:
+        if a.calibration is None or b.calibration is None:
+            continue
+        z = [_depth_differences(a.calibration, b.calibration, share) for share in DEPTH_RANGES]
+        known = np.concatenate([part[np.isfinite(part)] for part in z])
+        if len(known):
+            scores.append(known)
+    return scores
+
+
+def _depth_differences(a: StereoCalibration, b: StereoCalibration, share: float) -> Float[ndarray, "k"]:
+    assert a.T_left_board is not None
+    field = common_field(a.rig, share * float(np.median(np.linalg.norm(a.T_left_board.t, axis=-1))))
+    points = field.points[field.is_common]
+    pixels = a.rig.left.project(points), a.rig.right.project(a.rig.T_right_left.apply(points))
+    measured, _ = triangulate(b.rig, *pixels)
+    difference = np.linalg.norm(measured, axis=-1) / np.linalg.norm(points, axis=-1) - 1
+    told = [depth_sigma(c.rig, c.stated_covariance, points) for c in (a, b)]
+    return difference / np.hypot(*(t.calibration_m / t.depth_m for t in told))
+
+
+def summarise_depth(scores: Sequence[Float[ndarray, "_"]]) -> dict[str, float]:
+    """RMS and shares within 1 and 2 over all splits, each of which counts alike."""
+    if not scores:
+        return {"rms": np.nan, "within_1": np.nan, "within_2": np.nan, "n": 0}
+    return {
+        "rms": float(np.sqrt(np.mean([np.mean(z**2) for z in scores]))),
+        "within_1": float(np.mean([np.mean(np.abs(z) < 1) for z in scores])),
+        "within_2": float(np.mean([np.mean(np.abs(z) < 2) for z in scores])),
+        "n": len(scores),
+    }
 
 
 def summarise_z(scores: Float[ndarray, "splits 12"]) -> dict[str, dict[str, float]]:

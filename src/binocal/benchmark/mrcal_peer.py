@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -57,9 +58,25 @@ solve(lens, intrinsics, **whole)
 if data["warp"]:
     solve(lens, intrinsics, calobject_warp=np.zeros(2), **(whole | {"do_optimize_calobject_warp": True}))
 elapsed = time.perf_counter() - start
+sigmas, told = None, 0.0
+if len(data["uncertain_left"]):
+    inputs = dict(intrinsics=intrinsics, extrinsics_rt_fromref=rig, frames_rt_toref=frames, points=None,
+                  observations_board=observations, indices_frame_camintrinsics_camextrinsics=indices,
+                  observations_point=None, indices_point_camintrinsics_camextrinsics=None, lensmodel=lens, imagersizes=sizes,
+                  calibration_object_spacing=spacing, do_optimize_calobject_warp=False, do_optimize_extrinsics=True,
+                  do_optimize_frames=True, verbose=False, **whole)
+    models = [mrcal.cameramodel(optimization_inputs=inputs, icam_intrinsics=i) for i in (0, 1)]
+    range_m = float(data["range_m"])
+    begin = time.perf_counter()
+    sigmas = []
+    for model, pixels in zip(models, (data["uncertain_left"], data["uncertain_right"])):
+        points = mrcal.unproject(pixels, *model.intrinsics(), normalize=True) * (1 if np.isinf(range_m) else range_m)
+        sigmas.append(mrcal.projection_uncertainty(points, model, atinfinity=bool(np.isinf(range_m)), what="worstdirection-stdev").tolist())
+    told = time.perf_counter() - begin
 with os.fdopen(stdout, "w") as out:
     rays = [mrcal.unproject(data["pixels"], lens, i, normalize=True).tolist() for i in intrinsics] if len(data["pixels"]) else None
-    json.dump({"elapsed_s": elapsed, "rt_right_left": rig[0].tolist(), "intrinsics": intrinsics.tolist(), "rays": rays}, out)
+    json.dump({"elapsed_s": elapsed, "rt_right_left": rig[0].tolist(), "intrinsics": intrinsics.tolist(), "rays": rays,
+               "sigmas": sigmas, "told_s": told}, out)
 """
 
 
@@ -145,6 +162,22 @@ def rays_by_mrcal(
     return _T_right_left(found), [np.array(rays) for rays in found["rays"]]
 
 
+def uncertainty_by_mrcal(
+    detections: Detections, board: Board, pixels: Sequence[Float[ndarray, "n 2"]], range_m: float, model: str = "brown4"
+) -> tuple[float, list[Float[ndarray, "n"]]]:
+    """Seconds that it took from the solved rig, and mrcal's projection uncertainty at pixels of both cameras, worst direction, px.
+
+    The board is held flat, ``range_m`` may be infinite.
+
+    Raises:
+        RuntimeError: mrcal failed.
+    """
+    grid = (board.rows, board.columns, board.pitch_m)
+    focal_px = 1.2 * detections.left_size_wh[0]
+    found = _solve(detections, grid, LENS_MODELS[model], focal_px, uncertain=pixels, range_m=range_m)
+    return found["told_s"], [np.array(sigma) for sigma in found["sigmas"]]
+
+
 def _T_right_left(found: dict[str, Any]) -> SE3:
     rt = np.array(found["rt_right_left"])
     return SE3(so3.exp(rt[:3]), rt[3:])
@@ -159,6 +192,8 @@ def _solve(
     with_warp: bool = False,
     pixels: Float[ndarray, "n 2"] | None = None,
     noise_px: float = 1.0,
+    uncertain: Sequence[Float[ndarray, "n 2"]] | None = None,
+    range_m: float = np.inf,
 ) -> dict[str, Any]:
     """What the script prints. Corners that were not seen are given no weight, and images with fewer than six left out.
 
@@ -187,6 +222,9 @@ def _solve(
         lens=lens,
         warp=with_warp,
         pixels=np.zeros((0, 2)) if pixels is None else pixels,
+        uncertain_left=np.zeros((0, 2)) if uncertain is None else uncertain[0],
+        uncertain_right=np.zeros((0, 2)) if uncertain is None else uncertain[1],
+        range_m=range_m,
     )
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
     done = subprocess.run(

@@ -22,11 +22,13 @@ from binocal import __version__
 from binocal.benchmark.halves import (
     Estimate,
     HeldOutRows,
+    depth_scores,
     differences_by_split,
     held_out_rows,
     rms,
     split_halves,
     stated_sigmas,
+    summarise_depth,
     summarise_z,
     z_scores,
 )
@@ -82,7 +84,7 @@ def run_real_benchmark(
     cv2.setNumThreads(1)
     start = time.perf_counter()
     try:
-        rows, z, failures = _run_sets(sources, n_splits, seed)
+        rows, z, depth_z, failures = _run_sets(sources, n_splits, seed)
     finally:
         cv2.setNumThreads(own_threads)
     if not rows:
@@ -98,7 +100,10 @@ def run_real_benchmark(
         ),
         "elapsed_s": time.perf_counter() - start,
         "rows": rows,
-        "pooled_z": {name: summarise_z(np.concatenate(scores)) for name, scores in z.items()},
+        "pooled_z": {
+            name: summarise_z(np.concatenate(scores)) | {"depth": summarise_depth(depth_z[name])}
+            for name, scores in z.items()
+        },
         "ratios": ratios_to_peers(rows),
         "failed_sets": failures,
     }
@@ -107,24 +112,28 @@ def run_real_benchmark(
 
 def _run_sets(
     sources: Sequence[SetSource], n_splits: int, seed: int
-) -> tuple[list[dict[str, Any]], dict[str, list[ndarray]], dict[str, str]]:
-    """Rows, z scores by method, and why a recording gave none."""
+) -> tuple[list[dict[str, Any]], dict[str, list[ndarray]], dict[str, list[ndarray]], dict[str, str]]:
+    """Rows, z scores by method, those of depth, and why a recording gave none."""
     rows, failures = [], {}
     z: dict[str, list[ndarray]] = {name: [] for name in OURS}
+    depth_z: dict[str, list[ndarray]] = {name: [] for name in OURS}
     for source in sources:
         try:
-            row, scores = run_set(load_set(source), n_splits, seed)
+            row, scores, depths = run_set(load_set(source), n_splits, seed)
         except (BinocalError, OSError) as error:
             failures[source.name] = _one_line(error)
             continue
         rows.append(row)
         for name in z:
             z[name].append(scores[name])
-    return rows, z, failures
+            depth_z[name] += depths[name]
+    return rows, z, depth_z, failures
 
 
-def run_set(recording: RealSet, n_splits: int, seed: int) -> tuple[dict[str, Any], dict[str, ndarray]]:
-    """A recording's figures by method, and binocal's z scores.
+def run_set(
+    recording: RealSet, n_splits: int, seed: int
+) -> tuple[dict[str, Any], dict[str, ndarray], dict[str, list[ndarray]]]:
+    """A recording's figures by method, and binocal's z scores: of the rig's figures, and of depth split by split.
 
     Raises:
         BinocalError: No rig follows from all of its views, or fewer than eight of them can be used.
@@ -145,7 +154,7 @@ def run_set(recording: RealSet, n_splits: int, seed: int) -> tuple[dict[str, Any
         "methods": {},
         "not_run": {},
     }
-    scores = {}
+    scores, depth_z = {}, {}
     for name, method in _methods().items():
         reason = _cannot_run(name, views)
         if reason:
@@ -155,8 +164,10 @@ def run_set(recording: RealSet, n_splits: int, seed: int) -> tuple[dict[str, Any
         row["methods"][name] = summarise_method(pairs, halves, views.detections)
         if name in OURS:
             scores[name] = z_scores(pairs)
-            row["methods"][name]["z"] = summarise_z(scores[name])
-    return row, scores
+            depths = depth_scores(pairs)
+            row["methods"][name]["z"] = summarise_z(scores[name]) | {"depth": summarise_depth(depths)}
+            depth_z[name] = depths
+    return row, scores, depth_z
 
 
 def _used_views(recording: RealSet) -> tuple[_Views, ndarray]:
@@ -207,7 +218,7 @@ def _by_binocal(detections: Detections, model: str) -> Estimate:
     except BinocalError as error:
         return Estimate(failure=_one_line(error))
     codes = tuple(found.code for found in calibration.findings)
-    return Estimate(calibration.rig, stated_sigmas(calibration), codes)
+    return Estimate(calibration.rig, stated_sigmas(calibration), codes, calibration=calibration)
 
 
 def _by_peer(solve: Callable[[Detections, str], StereoRig], detections: Detections | None, model: str) -> Estimate:

@@ -9,7 +9,7 @@ from typing import Any
 FIGURES = ("rotation_deg", "baseline_percent", "focal_centre_px", "rows_rms_px", "rows_median_view_px")
 _DIGITS = (4, 3, 3, 4, 4)
 _WIDTHS = (14, 12, 12, 13, 13)
-_GROUPS = ("baseline", "rotation", "focal", "centre")
+_GROUPS = ("baseline", "rotation", "focal", "centre", "depth")
 WIDTH = 100
 
 
@@ -59,13 +59,13 @@ def _ratio_lines(ratios: dict[str, dict[str, Any]]) -> list[str]:
 def _z_lines(table: dict[str, Any]) -> list[str]:
     lines = [
         "difference between halves over its stated sigma: RMS, share within 1 and 2 sigma (68 and 95 %)",
-        f"{'':<26}{'baseline':>11}{'rotation':>11}{'focal':>11}{'centre':>11}{'1 sigma':>11}{'2 sigma':>11}",
+        f"{'':<26}{'baseline':>10}{'rotation':>10}{'focal':>10}{'centre':>10}{'depth':>10}{'1 sigma':>10}{'2 sigma':>10}",
     ]
     for ours, pooled in table["pooled_z"].items():
         lines.append(ours)
         for name, z in [*((row["set"], row["methods"][ours]["z"]) for row in table["rows"]), ("all", pooled)]:
-            cells = "".join(f"{_number(z[group]['rms'], 2):>11}" for group in _GROUPS)
-            shares = "".join(f"{_number(100 * z['all'][key], 0):>9} %" for key in ("within_1", "within_2"))
+            cells = "".join(f"{_number(z[group]['rms'], 2):>10}" for group in _GROUPS)
+            shares = "".join(f"{_number(100 * z['all'][key], 0):>8} %" for key in ("within_1", "within_2"))
             lines.append(f"  {name:<24}{cells}{shares}")
     return lines
 

@@ -216,10 +216,10 @@ def gains(kept: ModelTrial, other: ModelTrial) -> tuple[Advantage, Advantage]:
     """By how much the other's squared errors of rows and of lengths are lower; corners and views are the same for both."""
     limit = LARGEST_RATIO * min(float(np.nanmedian(np.abs(t.errors.lengths))) for t in (kept, other))
     lengths = [np.clip(t.errors.lengths, -limit, limit)[:, None] for t in (kept, other)]
-    return _gain(kept.errors.rows_px, other.errors.rows_px), _gain(lengths[0], lengths[1])
+    return advantage(kept.errors.rows_px, other.errors.rows_px), advantage(lengths[0], lengths[1])
 
 
-def _gain(a: Float[ndarray, "views m"], b: Float[ndarray, "views m"]) -> Advantage:
+def advantage(a: Float[ndarray, "views m"], b: Float[ndarray, "views m"]) -> Advantage:
     """What b's squares are lower than a's by.
 
     With e the errors of the better one and d those by which the worse one differs, the squares differ by d² + 2 d e: only the

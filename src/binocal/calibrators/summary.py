@@ -115,7 +115,9 @@ def summarize(
     if not np.isfinite(solve.noise_px):
         raise refusal(finding("too-few-measurements"))
     used = inliers(problem, minimum)
-    covariance, agreement = real_covariance(problem, minimum.estimate, minimum.equations, solve.reduced, solve.noise_px)
+    covariance, mean_board_pose, agreement = real_covariance(
+        problem, minimum.estimate, minimum.equations, solve.reduced, solve.noise_px
+    )
     lengths2 = _plain_lengths2(solve)
     sums = np.array([np.where(u, px2, 0.0).sum(axis=1) for u, px2 in zip(used, lengths2, strict=True)])
     counts = np.array([is_used.sum(axis=1) for is_used in used])
@@ -154,6 +156,7 @@ def summarize(
             None if T_right_board is None else SE3(T_right_board.R, T_right_board.t),
         ),
         exposure=_exposure(solve),
+        mean_board_pose=mean_board_pose,
     )
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from binocal.app import CalibrationRun, DemoCase, ImageEvaluation, TrainedAgent, TruthEvaluation
+from binocal.findings import finding_document
 from binocal.formats import rig_json
+from binocal.requirements.agreement import Agreement
 
 
 def calibration_run_document(run: CalibrationRun, output: Path, max_rms_px: float | None) -> dict[str, Any]:
@@ -81,6 +83,8 @@ def images_document(evaluation: ImageEvaluation) -> dict[str, Any]:
         "rejected": [{"name": view.name, "reason": view.reason} for view in evaluation.rejected],
         "ignored": [{"path": path, "reason": reason} for path, reason in evaluation.ignored],
         "notes": evaluation.notes,
+        "agreement": agreement_document(evaluation.agreement),
+        "findings": [finding_document(found) for found in evaluation.findings],
     }
 
 
@@ -117,4 +121,28 @@ def training_document(trained: TrainedAgent) -> dict[str, Any]:
         "rows": [asdict(row) for row in run.rows],
         "figure": None if trained.figure is None else str(trained.figure),
         "test_half": None if half is None else rig_json.calibration_document(half),
+    }
+
+
+def agreement_document(agreement: Agreement | None) -> dict[str, Any] | None:
+    """The comparison with the rig as plain data; None where the rig states no covariance."""
+    if agreement is None:
+        return None
+    cause = agreement.cause
+    return {
+        "agrees": agreement.agrees,
+        "p_value": agreement.p_value,
+        "statistic": agreement.statistic,
+        "n_directions": agreement.freedom,
+        "shift": dict(zip(agreement.names, agreement.shift.tolist(), strict=True)),
+        "cause": None
+        if cause is None
+        else {
+            "code": cause.code,
+            "text": cause.words,
+            "size": cause.size,
+            "sigma": cause.sigma,
+            "unit": cause.unit,
+            "share": cause.share,
+        },
     }

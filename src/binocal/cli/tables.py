@@ -15,6 +15,7 @@ from binocal.cli.exits import one_line
 from binocal.cli.grouping import group_lines, list_names
 from binocal.cli.streams import say
 from binocal.metrics.pose import ParameterError
+from binocal.requirements.agreement import LEAST_P, Agreement
 from binocal.result import RejectedView, StereoCalibration
 from binocal.values import with_sigma
 
@@ -135,7 +136,20 @@ def images_text(evaluation: ImageEvaluation, is_metric: bool) -> str:
         ("error of a single side (RMS)", f"{length.side_rms_percent:.3f} %", f"{length.n_sides} sides"),
     ]
     table = format_table(("criterion", "", ""), rows, align="lrl")
-    return "\n".join([table, *_rejected_lines(evaluation.rejected, len(evaluation.names))])
+    lines = [f"warning: {one_line(found.text)}" for found in evaluation.findings]
+    lines += ["", table] if lines else [table]
+    if evaluation.agreement is not None:
+        lines.append(agreement_text(evaluation.agreement))
+    return "\n".join([*lines, *_rejected_lines(evaluation.rejected, len(evaluation.names))])
+
+
+def agreement_text(agreement: Agreement) -> str:
+    """One line: do the images agree with the rig, with the p-value."""
+    words = "agree" if agreement.agrees else "do not agree"
+    return (
+        f"Agreement: the images {words} with what the rig's standard deviations allow "
+        f"(p = {max(agreement.p_value, LEAST_P):.2g}, {agreement.freedom} directions)"
+    )
 
 
 def demo_text(cases: Sequence[DemoCase], output: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,6 +51,16 @@ class Exposures(enum.StrEnum):
 
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
 MODELS = "|".join(Model)
+
+Needs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--require",
+        help="A need, repeatable: 'depth 1% at 5m' (also 'with 0.25px' of matching), 'row 0.1px', 'baseline 0.02%', 'focal 0.05%', "
+        "'reprojection 0.3px'. Exit with 4 unless all are proven to be met; what is not gets a plan of views that help.",
+        metavar="NEED",
+    ),
+]
 
 
 @app.command()
@@ -161,6 +172,14 @@ def calibrate(
         float | None,
         typer.Option("--max-rms", help="Exit with 4 if the RMS is above.", metavar="PX", min=0.0, callback=_finite),
     ] = None,
+    require: Needs = None,
+    checks: Annotated[
+        bool,
+        typer.Option(
+            "--checks/--no-checks",
+            help="Put the rig to the test on its own corners: two halves of the views, a freer lens, the residuals.",
+        ),
+    ] = True,
     opencv: Annotated[
         Path | None,
         typer.Option("--opencv", help="Also write OpenCV YAML: a .yml file, or a folder for two.", metavar="PATH"),
@@ -172,12 +191,14 @@ def calibrate(
     """Calibrate a stereo rig from images of a board."""
     from binocal import app as verbs
     from binocal.cli import documents, tables
+    from binocal.cli.checks import checks_document, show_checks
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats.board_file import read_measured_board
     from binocal.formats.opencv_yaml import check_opencv_output
     from binocal.output import check_output
 
     parsed = _parse_board(board)
+    needs = _parse_needs(require, is_metric=parsed.is_metric)
     _check_calibrator(calibrator)
     if opencv is not None and skew:
         raise typer.BadParameter("OpenCV's functions ignore skew; leave out --skew or --opencv.")
@@ -203,6 +224,7 @@ def calibrate(
         run = verbs.calibrate_images(
             left, right, parsed, request, calibrator=calibrator, preprocess=preprocess, measured_board=measured_board
         )
+        run = verbs.with_checks(run, request) if checks else run
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     _write_calibration(run, output, evidence, opencv, force)
     is_good = max_rms is None or run.calibration.rms.all_px <= max_rms
@@ -210,7 +232,19 @@ def calibrate(
     if evidence is not None:
         document["evidence"] = str(evidence)
     beside = [path for path in (evidence, opencv) if path is not None]
-    _present(document, tables.calibration_text(run, output, beside, max_rms), json)
+    text = tables.calibration_text(run, output, beside, max_rms)
+    if needs:
+        from binocal.app.needs import judge_calibration
+        from binocal.cli.needs import needs_document, needs_text
+
+        report = judge_calibration(run.calibration, needs, parsed)
+        is_good = is_good and report.is_met
+        document |= needs_document(report)
+        text = "\n".join([*needs_text(report, run.calibration.rig.printed_unit), "", text])
+    document["checks"] = checks_document(run.checks)
+    _present(document, text, json)
+    if not json:
+        show_checks(run.checks)
     return FINE if is_good else BELOW_QUALITY
 
 
@@ -305,6 +339,7 @@ def evaluate(
     left: Annotated[str | None, typer.Option("--left", help="Held-out left images.", metavar="GLOB")] = None,
     right: Annotated[str | None, typer.Option("--right", help="Held-out right images.", metavar="GLOB")] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    require: Needs = None,
     threads: Threads = None,
     json: Json = False,
 ) -> int:
@@ -318,15 +353,74 @@ def evaluate(
     on_images = (left, right, board)
     if (truth is None) == (on_images == (None, None, None)) or (truth is None and None in on_images):
         raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
+    needs = _parse_needs(require, is_metric=None)
     if truth is not None:
-        against_truth = verbs.evaluate_truth(rig_json.read_calibration(rig), rig_json.read_truth(truth))
-        _present(documents.truth_evaluation_document(against_truth), tables.truth_text(against_truth), json)
-        return FINE
-    read = load_rig(rig)
+        calibration, known = rig_json.read_calibration(rig), rig_json.read_truth(truth)
+        against_truth = verbs.evaluate_truth(calibration, known)
+        document, text, is_good = (
+            documents.truth_evaluation_document(against_truth),
+            tables.truth_text(against_truth),
+            True,
+        )
+        if needs:
+            from binocal.app.needs import judge_against_truth
+            from binocal.cli.needs import needs_document, needs_text
+
+            report = judge_against_truth(calibration, known.rig, needs)
+            document, is_good = document | needs_document(report), report.is_met
+            text = "\n".join([*needs_text(report, calibration.rig.printed_unit), "", text])
+        _present(document, text, json)
+        return FINE if is_good else BELOW_QUALITY
+    parsed = _parse_board(str(board))
+    calibration = rig_json.read_calibration(rig) if rig_json.holds_calibration(rig) else None
+    read = load_rig(rig) if calibration is None else calibration.rig
     with progress_on_terminal() as progress:
-        on_held_out = verbs.evaluate_images(read, str(left), str(right), _parse_board(str(board)), progress=progress)
-    tables.list_left_out(on_held_out.ignored, on_held_out.rejected, on_held_out.notes)
-    _present(documents.images_document(on_held_out), tables.images_text(on_held_out, read.is_metric), json)
+        seen = verbs.evaluate_images(read, str(left), str(right), parsed, calibration=calibration, progress=progress)
+    tables.list_left_out(seen.ignored, seen.rejected, seen.notes)
+    document, text = documents.images_document(seen), tables.images_text(seen, read.is_metric)
+    is_good = not seen.findings
+    if needs:
+        from binocal.app.needs import judge_on_images
+        from binocal.cli.needs import needs_document, needs_text
+
+        assert seen.detections is not None
+        report = judge_on_images(read, calibration, needs, (seen.detections, seen.pixel_error), seen.agreement, parsed)
+        document, is_good = document | needs_document(report), is_good and report.is_met
+        text = "\n".join([*needs_text(report, read.printed_unit), "", text])
+    _present(document, text, json)
+    return FINE if is_good else BELOW_QUALITY
+
+
+@app.command()
+def uncertainty(
+    rig: Annotated[Path, typer.Argument(help="The calibration: rig.json.", metavar="RIG.JSON")],
+    ranges: Annotated[
+        str,
+        typer.Option("--range", help="From where to where depth is measured: 0.5-5m, or one range.", metavar="RANGE"),
+    ],
+    matching: Annotated[
+        str,
+        typer.Option("--matching", help="Standard deviation of a match's disparity, in pixels: 0.25px.", metavar="PX"),
+    ] = "0.25px",
+    json: Json = False,
+) -> int:
+    """Tell how far depth, rows and projection can be trusted, by range and place in the image."""
+    from binocal.app.uncertainty import tell_uncertainty
+    from binocal.cli import uncertainty as texts
+    from binocal.formats import rig_json
+
+    nearest, farthest, is_metric = _parse_range(ranges)
+    matching_px = _parse_pixels("--matching", matching)
+    calibration = rig_json.read_calibration(rig)
+    if calibration.rig.is_metric != is_metric:
+        unit = (
+            "metres: give --range a unit, such as 0.5-5m"
+            if not is_metric
+            else "board pitches: give --range without a unit"
+        )
+        raise DataError(f"{rig}: the rig is in {unit}.")
+    run = tell_uncertainty(calibration, nearest, farthest, matching_px=matching_px)
+    _present(texts.uncertainty_document(run), texts.uncertainty_text(run), json)
     return FINE
 
 
@@ -714,6 +808,46 @@ def _parse_length(text: str | None) -> float | None:
     if not is_metric:
         raise typer.BadParameter(f"--baseline {text} needs a unit: mm, cm, m or in.")
     return length_m
+
+
+def _parse_needs(texts: list[str] | None, *, is_metric: bool | None) -> Any:
+    """The requirements of ``--require``; none where it is not given, and then nothing is loaded for it."""
+    if not texts:
+        return ()
+    from binocal.cli.needs import parse_needs
+
+    return parse_needs(texts, is_metric=is_metric)
+
+
+def _parse_range(text: str) -> tuple[float, float, bool]:
+    """Nearest and farthest of a range such as 0.5-5m, and whether it has a unit; one range is both."""
+    from binocal.boards.board import parse_length
+
+    first, dash, last = text.strip().partition("-")
+    unit = last.lstrip("0123456789. ")
+    if dash and not first.strip().endswith("m") and not first.strip().endswith("in"):
+        first += unit  # it stands once, at the end
+    try:
+        near, is_metric = parse_length(first)
+        far, has_unit = parse_length(last) if dash else (near, is_metric)
+    except ValueError as error:
+        raise typer.BadParameter(f"--range {text!r} is no range such as 0.5-5m: {error}.") from None
+    if has_unit != is_metric:
+        raise typer.BadParameter(f"--range {text!r}: give both ends a unit, or neither.")
+    if not 0 < near <= far < math.inf:
+        raise typer.BadParameter(f"--range {text!r} must run from near to far, above 0.")
+    return near, far, is_metric
+
+
+def _parse_pixels(option: str, text: str) -> float:
+    """Pixels with or without their unit."""
+    try:
+        value = float(text.strip().removesuffix("px"))
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise typer.BadParameter(f"{option} {text!r} is not a number of pixels such as 0.25px.")
+    return value
 
 
 def _natural_source(left: str | None, right: str | None, dataset: str | None, rig: Path | None) -> Any:

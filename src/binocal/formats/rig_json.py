@@ -42,6 +42,7 @@ from binocal.result import (
     StereoCalibration,
     ViewResult,
 )
+from binocal.uncertainty import MeanBoardPose
 
 SCHEMA = "binocal/1"
 UNITS = {True: "m", False: "board pitch"}
@@ -127,6 +128,7 @@ def calibration_document(calibration: StereoCalibration) -> dict[str, Any]:
         | ({} if calibration.nominal_noise_px is None else {"nominal_noise_px": calibration.nominal_noise_px})
         | ({} if calibration.board_shape is None else {"board_shape": calibration.board_shape})
         | ({} if calibration.exposure is None else {"exposure": calibration.exposure})
+        | ({} if calibration.mean_board_pose is None else {"mean_board_pose": calibration.mean_board_pose})
     )
     return with_unknown_keys(document, calibration.extra)
 
@@ -290,6 +292,7 @@ def read_calibration(path: str | Path) -> StereoCalibration:
         board_shape=parse_board_shape(top),
         exposure=_parse_exposure(top),
         misfit_px=top.number("misfit_px", allow_null=True) if "misfit_px" in top.value else None,
+        mean_board_pose=_parse_mean_board_pose(top, len(names)),
     )
     return replace(calibration, extra=unknown_keys(top.value, calibration_document(calibration)))
 
@@ -382,6 +385,13 @@ def _parse_exposure(top: Node) -> ExposureFit | None:
     node = top.mapping("exposure")
     figures = {name: node.number(name) for name in ("alone_px", "pair_px", "turn_sigma_rad", "shift_sigma_m")}
     return ExposureFit(**figures, are_apart=node.boolean("are_apart"))
+
+
+def _parse_mean_board_pose(top: Node, n_parameters: int) -> MeanBoardPose | None:
+    if "mean_board_pose" not in top.value:
+        return None
+    node = top.mapping("mean_board_pose")
+    return MeanBoardPose(node.array("covariance", (6, 6)), node.array("with_rig", (6, n_parameters)))
 
 
 def _parse_rig(top: Node) -> StereoRig:

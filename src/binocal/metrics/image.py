@@ -128,13 +128,22 @@ def rectified_row_error(rig: StereoRig, detections: Detections) -> RowError:
     Raises:
         DegenerateGeometryError: The rig cannot be rectified.
     """
-    rectification = row_rectification(rig)
-    left = rectify_points(rig.left, rectification.R_rect_left, rectification.P_left, detections.left_px)
-    right = rectify_points(rig.right, rectification.R_rect_right, rectification.P_right, detections.right_px)
-    difference = (left - right)[..., 0 if rectification.is_vertical else 1]
+    difference = row_differences(rig, detections)
     seen = difference[np.isfinite(difference)]
     median_px = float(np.median(seen)) if seen.size else np.nan
     return RowError(_rms(difference**2), median_px, _rms_by_view(difference**2), int(seen.size))
+
+
+def row_differences(rig: StereoRig, detections: Detections) -> Float[ndarray, "views n"]:
+    """Left less right row of the rectified corners (column, if the rig is vertical), pixels; NaN unless both cameras saw it.
+
+    Raises:
+        DegenerateGeometryError: The rig cannot be rectified.
+    """
+    rectification = row_rectification(rig)
+    left = rectify_points(rig.left, rectification.R_rect_left, rectification.P_left, detections.left_px)
+    right = rectify_points(rig.right, rectification.R_rect_right, rectification.P_right, detections.right_px)
+    return (left - right)[..., 0 if rectification.is_vertical else 1]
 
 
 def length_error(rig: StereoRig, detections: Detections, *, side_m: float | None = None) -> LengthError:

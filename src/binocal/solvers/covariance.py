@@ -8,7 +8,6 @@ from numpy import ndarray
 from binocal.cameras import StereoRig, camera_model
 from binocal.findings import finding, refusal
 from binocal.geometry import SE3, so3
-from binocal.result import Covariance
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
 from binocal.solvers.board_views import (
@@ -19,7 +18,7 @@ from binocal.solvers.board_views import (
     CameraObservations,
 )
 from binocal.solvers.jackknife import ViewAgreement, agreement_of_views
-from binocal.solvers.joint_system import ReducedSystem
+from binocal.solvers.joint_system import ReducedSystem, solve_symmetric
 from binocal.solvers.real_views import (
     RealViewsEquations,
     RealViewsEstimate,
@@ -28,6 +27,7 @@ from binocal.solvers.real_views import (
     cameras_information,
 )
 from binocal.solvers.whitening import CornerWeights
+from binocal.uncertainty import Covariance, MeanBoardPose
 
 SINGULAR_CONDITION = 1e15  # of the equilibrated information; a usable rig has 1e3 to 1e9, brown8 up to 1e13
 
@@ -64,8 +64,8 @@ def real_covariance(
     equations: RealViewsEquations,
     reduced: ReducedSystem,
     noise_px: float,
-) -> tuple[Float[ndarray, "s s"], ViewAgreement]:
-    """Covariance of the rig from the equations at the minimum, widened by what views have in common, and what that was.
+) -> tuple[Float[ndarray, "s s"], MeanBoardPose | None, ViewAgreement]:
+    """Covariance of the rig from the equations at the minimum, widened by what views have in common, the boards' mean pose, what that was.
 
     Board and exposures are free within their priors. See :mod:`binocal.solvers.jackknife`. Raises as :func:`shared_covariance`.
     """
@@ -74,7 +74,43 @@ def real_covariance(
     values, vectors = np.linalg.eigh(inverse / np.outer(scale, scale))
     L = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1e-300))
     agreement = agreement_of_views(reduced, noise_px, L, lambda: problem.system(estimate, equations))
-    return _with_additive_translation(problem.nominal, estimate.bundle, L @ agreement.widening @ L.T), agreement
+    widened = L @ agreement.widening @ L.T
+    to_additive = _to_additive_translation(problem.nominal, estimate.bundle, len(widened))
+    mean_pose = _mean_board_pose(reduced, noise_px, inverse, widened, agreement.factor)
+    if mean_pose is not None:
+        mean_pose = MeanBoardPose(mean_pose.covariance, mean_pose.with_rig @ to_additive.T)
+    covariance = to_additive @ widened @ to_additive.T
+    return 0.5 * (covariance + covariance.T), mean_pose, agreement
+
+
+def _mean_board_pose(
+    reduced: ReducedSystem,
+    noise_px: float,
+    independent: Float[ndarray, "s s"],
+    widened: Float[ndarray, "s s"],
+    factor: float,
+) -> MeanBoardPose | None:
+    """How the boards' mean pose errs with the rig, in the solver's unknowns; None where the equations do not tell.
+
+    A view's own unknowns follow the shared ones x as ``inverse_Lᵀ (y - Y x)``, and scatter about that by the inverse of their own
+    equations. What of their mean is regressed on the rig's errors is widened as these are, the rest by the typical ``factor``.
+    """
+    k = reduced.n_shared
+    V, P = reduced.y.shape
+    n_views = max(int(reduced.is_determined.sum()), 1)
+    inverse_L = reduced.inverse_L.reshape(V * P, P)[:, :6]
+    follow = -(inverse_L.T @ reduced.Y.reshape(-1, V * P).T) / n_views
+    with_all = solve_symmetric(reduced.information, np.ascontiguousarray(follow.T)).T * noise_px**2
+    own = follow @ with_all.T + inverse_L.T @ inverse_L * (noise_px / n_views) ** 2
+    with_rig = with_all[:, :k]
+    if not np.isfinite(own).all():
+        return None
+    if not k:
+        return MeanBoardPose(0.5 * (own + own.T), with_rig)
+    on_rig = solve_symmetric(independent, np.ascontiguousarray(with_rig.T)).T
+    rest = own - on_rig @ with_rig.T
+    own = on_rig @ widened @ on_rig.T + factor**2 * rest
+    return MeanBoardPose(0.5 * (own + own.T), on_rig @ widened)
 
 
 def invert_information(problem: BundleProblem, H: Float[ndarray, "s s"]) -> Float[ndarray, "s s"]:
@@ -102,11 +138,17 @@ def _with_additive_translation(
     problem: BundleProblem, estimate: BundleEstimate, covariance: Float[ndarray, "s s"]
 ) -> Float[ndarray, "s s"]:
     """From the solver's left step, which moves the translation by tau + omega x t, to steps of t itself."""
-    if problem.is_stereo and problem.is_rig_free and problem.held_part is None and len(covariance):
-        to_additive = np.eye(problem.n_shared)
-        to_additive[-3:, -6:-3] = -so3.hat(estimate.T_right_left.t)
-        covariance = to_additive @ covariance @ to_additive.T
+    to_additive = _to_additive_translation(problem, estimate, len(covariance))
+    covariance = to_additive @ covariance @ to_additive.T
     return 0.5 * (covariance + covariance.T)
+
+
+def _to_additive_translation(problem: BundleProblem, estimate: BundleEstimate, n: int) -> Float[ndarray, "n n"]:
+    """The matrix that does it; of a rig that is held in part, whose steps are additive already, the identity."""
+    to_additive = np.eye(n)
+    if problem.is_stereo and problem.is_rig_free and problem.held_part is None and n:
+        to_additive[-3:, -6:-3] = -so3.hat(estimate.T_right_left.t)
+    return to_additive
 
 
 def residual_noise_px(

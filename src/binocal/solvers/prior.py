@@ -152,18 +152,18 @@ class PriorTerm:
 
     def energy(self, problem: BundleProblem, estimate: BundleEstimate) -> Float[ndarray, "*batch"]:
         """Half the squared Mahalanobis distance from the prior's rig."""
-        away = self._distance(estimate)
+        away = self.distance(estimate)
         return 0.5 * (away * (away @ self.prior.information)).sum(axis=-1)
 
     def normal_equations(
         self, problem: BundleProblem, estimate: BundleEstimate
     ) -> tuple[Float[ndarray, "*batch s s"], Float[ndarray, "*batch s"]]:
         """Information of the shared unknowns; the gradient pulls towards the prior's rig."""
-        J, away = self._columns(problem, estimate), self._distance(estimate)
+        J, away = self._columns(problem, estimate), self.distance(estimate)
         pulled = J.swapaxes(-1, -2) @ self.prior.information
         return pulled @ J, -(pulled @ away[..., None])[..., 0]
 
-    def _distance(self, estimate: BundleEstimate) -> Float[ndarray, "*batch p"]:
+    def distance(self, estimate: BundleEstimate) -> Float[ndarray, "*batch p"]:
         """Estimate less prior, in the coordinates of a covariance."""
         rig, T = self.prior.rig, estimate.T_right_left
         values: dict[str, ndarray] = {}

@@ -1,0 +1,250 @@
+"""Whether a rig agrees with new images of a board as far as its own standard deviations allow, and what has changed if not.
+
+The new views are solved with the rig as a prior so wide that it decides nothing which they tell: :data:`WIDE` times its standard
+deviations, or :data:`NARROW` times them where that explains the corners as well. Views that tell little run off, with a wide one, to
+where nothing is linear; a narrow one would rather give up the corners of a rig that has changed than follow them.
+
+The difference of the two rigs, over the covariances of both, is a chi-squared statistic with one degree of freedom for each direction of
+which the views say anything. Where standard deviations rest on few views (those that were widened by what views have in common), the
+statistic over its degrees of freedom is F-distributed (Hotelling's T², to first order). Where it is too large, the causes that a rig can
+have are fitted to the difference in turn: the one that explains most names the drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.calibrators.base import CalibrationRequest
+from binocal.calibrators.joint import RobustSolver, solve_as_they_were, solve_with_misfit
+from binocal.cameras import StereoRig
+from binocal.errors import CalibrationError, DataError
+from binocal.evidence import Detections
+from binocal.geometry import SE3
+from binocal.requirements.agreement import Agreement, Cause
+from binocal.requirements.figures import freedom_of
+from binocal.result import StereoCalibration
+from binocal.shapes import Float
+from binocal.solvers.board_views import BundleEstimate
+from binocal.solvers.covariance import inliers, real_covariance
+from binocal.solvers.minimization import minimize
+from binocal.solvers.prior import PriorTerm, RigPrior
+from binocal.uncertainty import Covariance
+from binocal.values import with_sigma
+
+WIDE, NARROW = 100.0, 10.0  # standard deviations; 0.05 deg of a good rig are 20 to 60 of them
+AS_WELL = 1.02  # times the noise, and so many times the corners that carry weight
+LEAST_INFORMATION = 1e-2  # of a direction, over what the rig's own covariance says: below, the views say nothing of it
+NEARLY = 0.97  # of what the best cause explains: as likely as it
+
+
+def measure_agreement(calibration: StereoCalibration, detections: Detections, T_left_board: SE3) -> Agreement:
+    """The rig against new views, whose board poses are about ``T_left_board``; views without a pose are left out.
+
+    The board may be bent: its shape is freed where the views say so. What the calibration's views had in common, the new ones are
+    taken to have too.
+
+    Raises:
+        DataError: The calibration states no covariance, or a singular one.
+        CalibrationError: The views cannot be solved.
+    """
+    rig, covariance = calibration.rig, _sound(calibration.stated_covariance)
+    seen = detections.left_is_seen.any(axis=1) | detections.right_is_seen.any(axis=1)
+    used = np.flatnonzero(seen)
+    views, poses = detections.select(used), SE3(T_left_board.R[used], T_left_board.t[used])
+    factor = float(calibration.provenance.get("views_in_common", {}).get("sigma_factor", 1.0))
+    solved = {}
+    for width in (NARROW, WIDE):
+        try:
+            wide = RigPrior.from_rig(
+                rig, Covariance(covariance.names, width**2 * covariance.matrix), held=_held(rig, covariance.names)
+            )
+        except ValueError as error:
+            raise DataError(f"the rig's covariance cannot be compared with: {error}.") from None
+        # exposures that are freed beside a narrow prior would take up a turn of the rig
+        exposure = "together" if width == NARROW else "auto"
+        request = CalibrationRequest(rig.left.model, "left.skew" in covariance.names, prior=wide, exposure=exposure)
+        start = BundleEstimate((rig.left.parameters, rig.right.parameters), poses, rig.T_right_left)
+        problem, minimum, _, _ = solve_with_misfit(views, request, start, RobustSolver(minimize))
+        solve = solve_as_they_were(problem, minimum, request)
+        if not np.isfinite(solve.noise_px) or not solve.minimum.is_converged:
+            continue
+        n_used = sum(int(is_used.sum()) for is_used in inliers(solve.problem, solve.minimum))
+        solved[width] = wide, solve, n_used
+    if not solved:
+        raise CalibrationError("the views say too little to be compared with the rig.")
+    width = WIDE if WIDE in solved else NARROW
+    if NARROW in solved and WIDE in solved:
+        (_, narrow, n_narrow), (_, free, n_free) = solved[NARROW], solved[WIDE]
+        p = len(covariance.names)
+        by_chance = float(np.sqrt(1 + (p + 4 * np.sqrt(2 * p)) / max(2 * n_free - 6 * views.n_views - p, 1)))
+        if narrow.noise_px < max(AS_WELL, by_chance) * free.noise_px and n_free < AS_WELL * n_narrow:
+            width = NARROW
+    wide, solve, _ = solved[width]
+    told, _, views_in_common = real_covariance(
+        solve.problem, solve.minimum.estimate, solve.minimum.equations, solve.reduced, solve.noise_px
+    )
+    away = PriorTerm(wide).distance(solve.minimum.estimate.bundle)
+    excess = max(factor / views_in_common.factor, 1.0) ** 2
+    return _compared(rig, covariance, away, told, excess, solve.noise_px, width, freedom_of(calibration))
+
+
+def _compared(
+    rig: StereoRig,
+    covariance: Covariance,
+    away: Float[ndarray, "p"],
+    told: Float[ndarray, "p p"],
+    excess: float,
+    noise_px: float,
+    width: float,
+    behind: float,
+) -> Agreement:
+    """The statistic in the directions that the views tell of.
+
+    In units of the rig's covariance, along the eigenvectors of what the views add, information is t, the wide prior's 1 / width²: the
+    views' own estimate is the found one over t / (t + 1 / width²), with variance 1 / t, and that of the rig 1.
+    """
+    sigma = np.sqrt(np.diag(covariance.matrix))
+    w, vectors = np.linalg.eigh(covariance.matrix / np.outer(sigma, sigma))
+    L = sigma[:, None] * vectors * np.sqrt(np.maximum(w, 1e-15 * w[-1]))
+    whitened = np.linalg.solve(L, np.linalg.solve(L, told).T)
+    n, V = np.linalg.eigh(np.linalg.inv(0.5 * (whitened + whitened.T)))
+    t = np.maximum(n - width**-2, 0.0)
+    tells = t > LEAST_INFORMATION
+    d = V.T @ np.linalg.solve(L, away)
+    d = d[tells] * n[tells] / t[tells]
+    variance = 1.0 + excess / t[tells]
+    W = (L @ V)[:, tells]
+    statistic, freedom = float(np.sum(d**2 / variance)), int(tells.sum())
+    p_value = _chance(freedom, behind, statistic)
+    agreement = Agreement(
+        statistic,
+        freedom,
+        p_value,
+        covariance.names,
+        W @ d,
+        (W * (excess / t[tells])) @ W.T,
+        noise_px,
+    )
+    if agreement.agrees:
+        return agreement
+    basis = np.linalg.solve(L, np.eye(len(L)))
+    forms = V.T[tells] @ basis / np.sqrt(variance)[:, None]  # standardised difference of a change of the parameters
+    cause = _likeliest_cause(rig, covariance.names, forms, d / np.sqrt(variance), statistic)
+    return replace(agreement, cause=cause)
+
+
+def _likeliest_cause(
+    rig: StereoRig,
+    names: tuple[str, ...],
+    forms: Float[ndarray, "k p"],
+    z: Float[ndarray, "k"],
+    statistic: float,
+) -> Cause | None:
+    """The first of the single causes, the commoner first, that explains nearly as much of the statistic as the best of them.
+
+    A turn of a camera and a shift of its image look alike from the corners; where both would do, the other is said too.
+    """
+    fits: list[tuple[float, Cause]] = []
+    for code, directions in _causes(rig, names).items():
+        A = forms @ directions
+        if not A.any():
+            continue
+        solution, *_ = np.linalg.lstsq(A, z, rcond=1e-10)
+        gain = statistic - float(np.sum((z - A @ solution) ** 2))
+        fits.append((gain, _described(rig, code, solution, np.linalg.pinv(A.T @ A), gain / statistic)))
+    best = max((gain for gain, _ in fits), default=0.0)
+    likely = [cause for gain, cause in fits if gain > NEARLY * best]
+    if not best > 0:
+        return None
+    others = [
+        cause for cause in likely[1:] if cause.code.endswith("image shifted") and likely[0].code.endswith("turned")
+    ]
+    if not others:
+        return likely[0]
+    return replace(
+        likely[0], words=f"{likely[0].words}; a shift of its image by {others[0].size:.2f} px would look the same"
+    )
+
+
+def _causes(rig: StereoRig, names: tuple[str, ...]) -> dict[str, Float[ndarray, "p q"]]:
+    """Changes of the parameters by each cause: turns (rad) of a camera about its own centre, a shift of it, focus, its image's shift."""
+    index = {name: i for i, name in enumerate(names)}
+    R, t = rig.T_right_left.R, rig.T_right_left.t
+
+    def column(values: dict[str, float]) -> Float[ndarray, "p"]:
+        out = np.zeros(len(names))
+        for name, value in values.items():
+            if name in index:
+                out[index[name]] = value
+        return out
+
+    def motion(turn: Float[ndarray, "3"], shift: Float[ndarray, "3"]) -> Float[ndarray, "p"]:
+        values = {f"rotation.{a}": float(v) for a, v in zip("xyz", turn, strict=True)}
+        return column(values | {f"translation.{a}": float(v) for a, v in zip("xyz", shift, strict=True)})
+
+    axes = np.eye(3)
+    causes = {
+        # the right camera turned by w about its centre: R -> exp(w) R, t -> exp(w) t; the left one: R -> R exp(-w)
+        "right turned": np.stack([motion(w, np.cross(w, t)) for w in axes], axis=1),
+        "left turned": np.stack([motion(-R @ w, np.zeros(3)) for w in axes], axis=1),
+        "shifted": np.stack([motion(np.zeros(3), v) for v in axes], axis=1),
+    }
+    for side in ("left", "right"):
+        fx, fy = getattr(rig, side).parameters[:2].tolist()
+        causes[f"{side} refocused"] = column({f"{side}.fx": fx, f"{side}.fy": fy})[:, None]
+        causes[f"{side} image shifted"] = np.stack([column({f"{side}.cx": 1.0}), column({f"{side}.cy": 1.0})], axis=1)
+    return causes
+
+
+def _described(
+    rig: StereoRig, code: str, solution: Float[ndarray, "q"], spread: Float[ndarray, "q q"], share: float
+) -> Cause:
+    size = float(np.linalg.norm(solution))
+    along = solution / max(size, 1e-300)
+    sigma = float(np.sqrt(max(along @ spread @ along, 0.0)))
+    side, _, what = code.partition(" ")
+    other = {"left": "right", "right": "left"}.get(side, "")
+    if what == "turned":
+        angles = np.degrees(solution)
+        parts = ", ".join(f"{name} {a:+.3f} deg" for name, a in zip(("pitch", "yaw", "roll"), angles, strict=True))
+        factor = 180 / np.pi
+        words = f"the {side} camera (or the {other} one) is turned by {with_sigma(factor * size, factor * sigma)} deg ({parts})"
+        return Cause(code, words, factor * size, factor * sigma, "deg", share)
+    if code == "shifted":
+        unit, factor = rig.printed_unit
+        words = f"the cameras are shifted against each other by {with_sigma(factor * size, factor * sigma)} {unit}"
+        return Cause(code, words, size, sigma, "m" if rig.is_metric else unit, share)
+    if what == "refocused":
+        words = (
+            f"the focal length of the {side} camera is another by {with_sigma(100 * solution[0], 100 * sigma)} % (or that of the {other} "
+            "one by as much the other way)"
+        )
+        return Cause(code, words, 100 * size, 100 * sigma, "%", share)
+    words = f"the {side} image is shifted by ({solution[0]:+.2f}, {solution[1]:+.2f}) px ± {sigma:.1g}"
+    return Cause(code, words, size, sigma, "px", share)
+
+
+def _sound(covariance: Covariance) -> Covariance:
+    """Without parameters that have no variance: those were held."""
+    keep = np.flatnonzero(np.diag(covariance.matrix) > 0)
+    return Covariance(tuple(covariance.names[i] for i in keep), covariance.matrix[np.ix_(keep, keep)])
+
+
+def _held(rig: StereoRig, names: tuple[str, ...]) -> tuple[str, ...]:
+    """What the covariance does not name is held: whole parts of the rig, or single intrinsics."""
+    from binocal.solvers.prior import camera_names
+
+    held = [
+        n for side in ("left", "right") for n in camera_names(rig, side) if n not in names and not n.endswith(".skew")
+    ]
+    return (*held, *(part for part in ("rotation", "translation") if f"{part}.x" not in names))
+
+
+def _chance(freedom: int, behind: float, statistic: float) -> float:
+    """How often the statistic is as large by chance; ``behind`` are the degrees of freedom of the standard deviations."""
+    from scipy.special import fdtrc  # a tenth of a second to import
+
+    return float(fdtrc(freedom, behind, statistic / freedom)) if freedom else 1.0

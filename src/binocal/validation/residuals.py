@@ -1,0 +1,105 @@
+"""Residuals of a calibration's corners, and whether they are white: whether neighbours on the board err alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.evidence import Detections
+from binocal.evidence.pixel_locking import RigLocking
+from binocal.result import StereoCalibration
+from binocal.shapes import Float
+
+NEAR = 1.3  # times the least distance of two board points: neighbours along rows and columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whiteness:
+    """How far errors of neighbouring corners of one image are alike.
+
+    ``correlation`` is that of their residuals, 0 of independent corners; ``sigma`` its standard deviation then. ``common_px`` is what
+    neighbours have in common, one standard deviation of a coordinate. ``by_point_px`` is the mean residual of every board point over
+    all views (left x, y, right x, y); ``by_view_px`` that of every view.
+    """
+
+    correlation: float
+    sigma: float
+    common_px: float
+    by_point_px: Float[ndarray, "n 4"]
+    by_view_px: Float[ndarray, "views 4"]
+
+
+def solved_detections(calibration: StereoCalibration) -> Detections:
+    """The corners as the solve took them: without their locking to the pixels, where some was found."""
+    detections = calibration.corners.detections
+    found = calibration.provenance.get("pixel_locking")
+    return RigLocking.of_document(found).corrected(detections) if found else detections
+
+
+def corner_residuals(
+    calibration: StereoCalibration,
+) -> tuple[Float[ndarray, "views n 2"], Float[ndarray, "views n 2"]]:
+    """Measured less predicted corners of both cameras, pixels; NaN where not seen or left out as an outlier.
+
+    Raises:
+        DataError: The calibration holds no corners.
+    """
+    evidence, rig = calibration.corners, calibration.rig
+    detections = solved_detections(calibration)
+    in_left = evidence.T_left_board.apply(evidence.board_points_m)
+    own = evidence.T_right_board
+    in_right = rig.T_right_left.apply(in_left) if own is None else own.apply(evidence.board_points_m)
+    left, right = detections.left_px - rig.left.project(in_left), detections.right_px - rig.right.project(in_right)
+    for index, view in enumerate(calibration.views):
+        for outlier in view.outliers:
+            (left if outlier.camera == "left" else right)[index, outlier.corner] = np.nan
+    return left, right
+
+
+def measure_whiteness(calibration: StereoCalibration) -> Whiteness | None:
+    """Correlation of neighbours' residuals over all images; None where the board has no neighbours that were seen.
+
+    Raises:
+        DataError: The calibration holds no corners.
+    """
+    sides = corner_residuals(calibration)
+    points = calibration.corners.detections.object_points_m
+    a, b = _neighbours(points)
+    n_pairs, products, squares, count = 0, 0.0, 0.0, 0
+    for residual in sides:
+        own = residual[np.isfinite(residual[..., 0])]
+        squares, count = squares + float(np.sum(own**2)), count + own.size
+        both = np.isfinite(residual[:, a, 0]) & np.isfinite(residual[:, b, 0])
+        products += float(np.sum(residual[:, a][both] * residual[:, b][both]))
+        n_pairs += 2 * int(both.sum())
+    if not n_pairs or not squares > 0:
+        return None
+    variance = squares / count
+    correlation = products / n_pairs / variance
+    with np.errstate(invalid="ignore"):
+        stacked = np.concatenate(sides, axis=-1)
+    return Whiteness(
+        correlation,
+        1 / float(np.sqrt(n_pairs)),
+        float(np.sqrt(max(correlation, 0.0) * variance)),
+        _mean(stacked, 0),
+        _mean(stacked, 1),
+    )
+
+
+def _mean(values: Float[ndarray, "views n 4"], axis: int) -> Float[ndarray, "k 4"]:
+    known = np.isfinite(values)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    return np.where(known.any(axis=axis), total / np.maximum(known.sum(axis=axis), 1), np.nan)
+
+
+def _neighbours(points: Float[ndarray, "n 3"]) -> tuple[ndarray, ndarray]:
+    """Pairs of neighbouring board points."""
+    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    upper = np.triu(np.ones(distance.shape, dtype=bool), 1)
+    if not upper.any():
+        return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+    a, b = np.nonzero(upper & (distance < NEAR * distance[upper].min()))
+    return a, b

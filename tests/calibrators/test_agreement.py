@@ -1,0 +1,91 @@
+"""New images against a rig's own standard deviations: chance is called chance, and what has changed is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binocal.boards import parse_board
+from binocal.calibrators import calibrate
+from binocal.calibrators.agreement import measure_agreement
+from binocal.cameras import Camera, StereoRig
+from binocal.errors import DataError
+from binocal.geometry import SE3, so3
+from binocal.metrics.order import order_corners
+from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
+
+pytestmark = pytest.mark.usefixtures("many_calls")
+
+RIG, BOARD = table2_rig(), parse_board("chessboard:6x5:30mm")
+
+
+def seen_by(rig, n_views, seed, **options):
+    rng = np.random.default_rng(seed)
+    scene = StereoScene(rig, BOARD, sample_board_poses(rig, BOARD, n_views, rng))
+    return simulate_detections(scene, rng, noise_px=0.2, **options)
+
+
+def compared(calibration, detections):
+    ordered = order_corners(calibration.rig, detections)
+    return measure_agreement(calibration, ordered.detections, ordered.T_left_board)
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(seen_by(RIG, 15, 0), model="brown4", calibrator="lm")
+
+
+def turned(deg):
+    """The right camera turned about its own centre."""
+    W, T = so3.exp(np.radians(deg)), RIG.T_right_left
+    return StereoRig(RIG.left, RIG.right, SE3(W @ T.R, W @ T.t))
+
+
+@pytest.mark.parametrize("n_views", [1, 3, 10])
+def test_a_rig_that_has_not_changed_agrees_as_often_as_chance_has_it(n_views):
+    p_values = []
+    for seed in range(25):
+        calibration = calibrate(seen_by(RIG, 12, seed), model="brown4", calibrator="lm")
+        p_values.append(compared(calibration, seen_by(RIG, n_views, 1000 + seed)).p_value)
+    assert min(p_values) > 1e-4 and 0.25 < np.mean(p_values) < 0.75  # uniform: 0.5 ± 0.06
+
+
+@pytest.mark.parametrize("n_views", [1, 3, 12])
+def test_a_turn_of_a_twentieth_of_a_degree_is_named_with_its_size(calibration, n_views):
+    found = compared(calibration, seen_by(turned([0.05, 0, 0]), n_views, 5))
+    assert not found.agrees and found.finding.code == "rig-disagrees"
+    assert found.cause.code in ("right turned", "left turned") and "pitch" in found.finding.text
+    assert found.cause.size == pytest.approx(0.05, abs=0.03 if n_views < 12 else 0.005)
+
+
+def test_causes_are_told_apart(calibration):
+    wider = Camera("brown4", RIG.right.size_wh, RIG.right.parameters * np.r_[1.004, 1.004, np.ones(7)])
+    focus = compared(
+        calibration, seen_by(replace(RIG, right=wider), 12, 6)
+    ).cause  # 0.4 % more, or the left one 0.4 % less
+    assert focus.code in ("left refocused", "right refocused") and focus.size == pytest.approx(0.4, rel=0.1)
+    moved = replace(RIG, T_right_left=SE3(RIG.T_right_left.R, RIG.T_right_left.t + [0.001, 0, 0]))
+    found = compared(calibration, seen_by(moved, 12, 6))
+    assert found.cause.code == "shifted" and found.cause.size == pytest.approx(1e-3, rel=0.1)
+    place = found.names.index("translation.x")
+    assert found.shift[place] == pytest.approx(1e-3, rel=0.1)
+
+
+def test_outliers_do_not_make_a_change(calibration):
+    assert compared(calibration, seen_by(RIG, 10, 7, outlier_share=0.05)).agrees
+
+
+def test_views_without_corners_are_left_out(calibration):
+    detections = seen_by(RIG, 5, 8)
+    left, right = detections.left_px.copy(), detections.right_px.copy()
+    left[2], right[2] = np.nan, np.nan
+    assert compared(calibration, replace(detections, left_px=left, right_px=right)).agrees
+
+
+def test_without_a_covariance_nothing_is_compared(calibration):
+    from binocal.uncertainty import Covariance
+
+    names = calibration.covariance.names
+    unknown = replace(calibration, covariance=Covariance(names, np.full((len(names),) * 2, np.nan)))
+    with pytest.raises(DataError, match="no covariance"):
+        compared(unknown, seen_by(RIG, 3, 9))

@@ -1,0 +1,133 @@
+"""``--require`` and the comparison with the rig, from the command line: verdicts, exit codes, plans, and what makes no sense."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binocal import app
+from binocal.app import evaluate as evaluating
+from binocal.app.corners import FoundCorners
+from binocal.boards import parse_board
+from binocal.calibrators import calibrate
+from binocal.cli import main
+from binocal.formats import rig_json
+from binocal.geometry import SE3, so3
+from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
+
+RIG, SPEC = table2_rig(), "chessboard:6x5:30mm"
+BOARD = parse_board(SPEC)
+EVALUATE = ["--left", "l", "--right", "r", "--board", SPEC]
+CALIBRATE = ["calibrate", "--left", "l/*.png", "--right", "r/*.png", "--board", SPEC]
+
+
+def seen(n_views, seed):
+    rng = np.random.default_rng(seed)
+    return simulate_detections(StereoScene(RIG, BOARD, sample_board_poses(RIG, BOARD, n_views, rng)), rng, noise_px=0.1)
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(seen(12, 0), model="brown4", calibrator="lm")
+
+
+@pytest.fixture
+def images(monkeypatch):
+    """Other images than those of the calibration: their corners."""
+    found = FoundCorners(seen(8, 1), (), (), (), {}, {})
+    monkeypatch.setattr(evaluating, "find_corners", lambda *given, **options: found)
+
+
+def written(tmp_path, calibration):
+    path = tmp_path / "rig.json"
+    rig_json.write_calibration(path, calibration)
+    return str(path)
+
+
+def document_of(capsys):
+    return json.loads(capsys.readouterr().out, parse_constant=lambda word: pytest.fail(word))
+
+
+def test_new_images_are_judged(tmp_path, calibration, images, capsys):
+    path = written(tmp_path, calibration)
+    assert main(["evaluate", path, *EVALUATE, "--require", "row 0.5px", "--require", "depth 10% at 1m", "--json"]) == 0
+    document = document_of(capsys)
+    assert [v["outcome"] for v in document["requirements"]] == ["pass", "pass"] and document["plans"] == []
+    assert document["agreement"]["agrees"] and document["agreement"]["p_value"] > 1e-4 and document["findings"] == []
+    assert main(["evaluate", path, *EVALUATE, "--require", "baseline 0.0001%", "--require", "reprojection 0.01px"]) == 4
+    text = capsys.readouterr().out
+    assert text.startswith("FAIL     baseline 0.0001%: not met") and "Plan     20 more views do not meet" in text
+    assert "Agreement: the images agree" in text
+
+
+def test_a_pitched_rig_is_not_passed_in_silence(tmp_path, calibration, images, capsys):
+    W, T = so3.exp(np.radians([0.05, 0, 0])), calibration.rig.T_right_left
+    pitched = replace(calibration, evidence=None, rig=replace(calibration.rig, T_right_left=SE3(W @ T.R, W @ T.t)))
+    path = written(tmp_path, pitched)
+    assert main(["evaluate", path, *EVALUATE]) == 4
+    text = capsys.readouterr().out
+    assert "warning: the images do not agree with the rig" in text and "pitch" in text
+    assert (
+        main(["evaluate", path, *EVALUATE, "--require", "row 0.1px", "--require", "depth 0.0001% at 1m", "--json"]) == 4
+    )
+    document = document_of(capsys)
+    row, depth = document["requirements"]
+    assert row["outcome"] == "fail" and row["value"] > 1.0 and "left image" in row["where"]
+    assert depth["outcome"] == "fail" and document["plans"] == []  # what has changed is no matter of more views
+    assert document["agreement"]["cause"]["code"].endswith("turned")
+    assert document["findings"][0]["code"] == "rig-disagrees"
+
+
+def test_a_rig_without_standard_deviations_is_undecided(tmp_path, calibration, images, capsys):
+    path = tmp_path / "bare.json"
+    rig_json.write_rig(path, calibration.rig)
+    assert main(["evaluate", str(path), *EVALUATE, "--json"]) == 0
+    assert document_of(capsys)["agreement"] is None
+    assert main(["evaluate", str(path), *EVALUATE, "--require", "depth 1% at 1m", "--require", "row 0.5px"]) == 4
+    text = capsys.readouterr().out
+    assert "states no standard deviations" in text and "Pass     row 0.5px" in text
+
+
+def test_the_truth_judges_exactly(tmp_path, calibration, capsys):
+    truth = tmp_path / "truth.json"
+    names = tuple(view.name for view in calibration.views)
+    rig_json.write_truth(truth, rig_json.Truth(RIG, BOARD, names, calibration.T_left_board))
+    path = written(tmp_path, calibration)
+    command = ["evaluate", path, "--truth", str(truth), "--json", "--require"]
+    assert main([*command, "depth 10% at 1m"]) == 0
+    (verdict,) = document_of(capsys)["requirements"]
+    assert verdict["guard"] == 0 and 0 < verdict["value"] < 0.1
+    assert main([*command, "baseline 0.0000001%"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("need", "said"),
+    [
+        ("depth 1% at 5 px", "'5 px' is no range"),
+        ("depth 1% at 50", "in board pitches"),
+        ("nonsense", "is no requirement"),
+    ],
+)
+def test_a_need_that_makes_no_sense_is_a_usage_error_of_one_line(need, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*CALIBRATE, "--require", need]) == 2
+    out, err = capsys.readouterr()
+    assert not out and said in err and len(err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_calibrate_judges_and_plans(tmp_path, calibration, monkeypatch, capsys):
+    run = app.CalibrationRun(calibration, seen(12, 0), (), (), {"images": 1.0, "solve": 0.1})
+    monkeypatch.setattr(app, "calibrate_images", lambda *given, **options: run)
+    monkeypatch.chdir(tmp_path)
+    assert main([*CALIBRATE, "--require", "depth 50% at 1m", "--json"]) == 0
+    assert document_of(capsys)["requirements"][0]["outcome"] == "pass"
+    assert main([*CALIBRATE, "--force", "--require", "depth 0.1% at 1m", "--json"]) == 4
+    document = document_of(capsys)
+    (plan,) = document["plans"]
+    assert plan["views"] and plan["views"][0]["value"] > plan["views"][-1]["value"]
+    assert np.array(plan["views"][0]["R"]).shape == (3, 3) and document["requirements"][0]["where"]
+    assert (tmp_path / "rig.json").is_file()  # what was calibrated is kept
+    assert main([*CALIBRATE, "--force", "--require", "reprojection 0.001px"]) == 4
+    assert "FAIL     reprojection" in capsys.readouterr().out
