@@ -13,7 +13,7 @@ import pytest
 
 import binocal
 from binocal import plugins
-from binocal.calibrators import known_calibrators, load_calibrator
+from binocal.calibrators import CALIBRATORS, known_calibrators, load_calibrator
 from binocal.cameras import camera_model, known_camera_models
 from binocal.cli import main
 from binocal.errors import PluginError
@@ -81,7 +81,7 @@ def test_each_example_is_short():
 
 
 def test_what_is_added_is_listed_after_what_is_built_in(examples):
-    assert known_calibrators() == ("drl", "drl-increments", "lm", "trimmed")
+    assert known_calibrators() == (*CALIBRATORS, "trimmed")
     assert known_formats() == ("binocal", "opencv", "stereo-toml")
     assert known_camera_models() == ("brown4", "brown5", "brown8", "fisheye4", "division1")
     assert not {"trimmed", "stereo_toml", "division"} & set(sys.modules)  # listing imports nothing

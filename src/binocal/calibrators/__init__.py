@@ -15,7 +15,7 @@ from binocal.calibrators.base import (
     ProgressCallback,
     ShouldStop,
 )
-from binocal.calibrators.registry import CALIBRATORS, known_calibrators, load_calibrator
+from binocal.calibrators.registry import CALIBRATORS, known_calibrators, load_calibrator, model_for
 from binocal.evidence import Detections
 from binocal.result import StereoCalibration
 from binocal.solvers.prior import RigPrior
@@ -91,6 +91,7 @@ def calibrate_as_requested(
     :func:`calibrate`.
     """
     method = load_calibrator(calibrator)
+    request = replace(request, model=model_for(calibrator, request.model))
     _check_model(request.model)
     from binocal.calibrators.provenance import with_corner_orders, with_provenance
 

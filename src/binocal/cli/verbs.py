@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -165,7 +166,8 @@ def calibrate(
         str,
         typer.Option(
             "--calibrator",
-            help="drl, drl-increments, lm, weights that train wrote, or what another package adds.",
+            help="drl, drl-increments, lm, opencv, alternating, absolute-orientation, heterogeneous, wide-field, weights that "
+            "train wrote, or what another package adds.",
             metavar="NAME",
         ),
     ] = "drl",
@@ -241,6 +243,7 @@ def calibrate(
 ) -> int:
     """Calibrate a stereo rig from images of a board."""
     from binocal import app as verbs
+    from binocal.calibrators.registry import unsuited
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats.board_file import read_measured_board
@@ -259,17 +262,13 @@ def calibrate(
     _check_distinct(outputs)
     known = _read_prior(prior, hold, model.value)
     measured_board = None if board_file is None else read_measured_board(board_file)
+    request = verbs.CalibrationRequest(
+        model.value, skew, seed, max_views, prior=known, board_shape=board_shape.value, exposure=exposure.value
+    )
+    if why := unsuited(calibrator, request):
+        raise typer.BadParameter(f"{why}.")
     with progress_on_terminal() as progress:
-        request = verbs.CalibrationRequest(
-            model.value,
-            skew,
-            seed,
-            max_views,
-            progress=progress,
-            prior=known,
-            board_shape=board_shape.value,
-            exposure=exposure.value,
-        )
+        request = replace(request, progress=progress)
         run = verbs.calibrate_images(
             left, right, parsed, request, calibrator=calibrator, preprocess=preprocess, measured_board=measured_board
         )
@@ -289,7 +288,12 @@ def simulate(
     pairs: Annotated[int, typer.Option("--pairs", help="Number of image pairs.", metavar="N", min=1, max=1_000_000)],
     output: Annotated[Path, typer.Option("--output", help="Folder for the images and truth.json.", metavar="DIR")],
     rig: Annotated[
-        str, typer.Option("--rig", help="table2 (the paper's rig), a rig.json, or OpenCV's file.", metavar="NAME")
+        str,
+        typer.Option(
+            "--rig",
+            help="table2 (the paper's rig), colour-thermal, thermal-180, thermal-210, a rig.json, or OpenCV's file.",
+            metavar="NAME",
+        ),
     ] = "table2",
     blur: Annotated[
         float,
@@ -345,19 +349,15 @@ def simulate(
         _one_of("--scene", scene, ("street", "room"))
     check_output_folder(output, force=force)
     options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap)
-    if rig == "table2":
-        from binocal.simulation import table2_rig
+    from binocal.formats.rig_file import load_rig
+    from binocal.simulation import SETUPS, Setup
 
-        true_rig = table2_rig()
-    else:
-        from binocal.formats.rig_file import load_rig
-
-        true_rig = load_rig(rig)
+    setup = SETUPS[rig]() if rig in SETUPS else Setup(load_rig(rig))
     with progress_on_terminal() as progress:
         if parsed is not None:
-            truth = verbs.simulate(true_rig, parsed, pairs, output, options, force=force, progress=progress)
+            truth = verbs.simulate(setup, parsed, pairs, output, options, force=force, progress=progress)
         else:
-            truth = verbs.simulate_scene(true_rig, str(scene), pairs, output, options, force=force, progress=progress)
+            truth = verbs.simulate_scene(setup.rig, str(scene), pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"
     _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
     return FINE
