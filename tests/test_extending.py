@@ -26,6 +26,7 @@ from binocal.metrics.pose import in_model
 from binocal.rectification import rectify
 from binocal.solvers.covariance import cramer_rao_bound
 from contracts import (
+    BOARD_CONTRACT,
     CALIBRATOR_CONTRACT,
     CAMERA_CONTRACT,
     foreign_content_is_not_taken_for_its_own,
@@ -90,7 +91,7 @@ def test_what_is_added_is_listed_after_what_is_built_in(examples):
             ask("no such thing")
 
 
-@pytest.mark.parametrize("check", CALIBRATOR_CONTRACT, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("check", (*CALIBRATOR_CONTRACT, *BOARD_CONTRACT), ids=lambda check: check.__name__)
 def test_the_calibrator_keeps_the_contract(examples, check):
     check("trimmed")
 

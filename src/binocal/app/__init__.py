@@ -6,10 +6,11 @@ Each verb takes plain values, returns one, and neither prints nor reads the envi
 
 from __future__ import annotations
 
-from binocal.app.calibrate import CalibrationRun, calibrate_images
+from binocal.app.calibrate import CalibrationRun, calibrate_corners, calibrate_images
 from binocal.app.demo import DemoCase, demo
 from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_images, evaluate_truth
 from binocal.app.simulate import SimulateOptions, simulate, simulate_scene
+from binocal.app.simulate_turning import simulate_turning_cameras
 from binocal.app.train import TrainedAgent, TrainRequest, board_of_folder, train
 from binocal.calibrators.base import CalibrationRequest
 
@@ -23,11 +24,13 @@ __all__ = [
     "TrainedAgent",
     "TruthEvaluation",
     "board_of_folder",
+    "calibrate_corners",
     "calibrate_images",
     "demo",
     "evaluate_images",
     "evaluate_truth",
     "simulate",
     "simulate_scene",
+    "simulate_turning_cameras",
     "train",
 ]

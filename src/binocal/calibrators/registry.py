@@ -60,6 +60,12 @@ def _wide_field() -> Calibrator:
     return calibrate_wide_field
 
 
+def _rectangles() -> Calibrator:
+    from binocal.calibrators.rectangles import calibrate_rectangles
+
+    return calibrate_rectangles
+
+
 CALIBRATORS: dict[str, Callable[[], Calibrator]] = {
     "drl": _drl,
     "drl-increments": _drl_increments,
@@ -69,17 +75,24 @@ CALIBRATORS: dict[str, Callable[[], Calibrator]] = {
     "absolute-orientation": _absolute_orientation,
     "heterogeneous": _heterogeneous,
     "wide-field": _wide_field,
+    "rectangles": _rectangles,
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What a built-in calibrator takes of a request. ``only_model`` is the one camera model that it solves for, None: any."""
+    """What a built-in calibrator takes: the kind of evidence (``board`` or ``rectangles``), and what of a request.
 
+    ``only_model`` is the one camera model that it solves for, None: any.
+    """
+
+    evidence: str = "board"
     only_model: str | None = None
     takes_skew: bool = True
     takes_prior: bool = True
+    needs_prior: bool = False
     frees_board_and_exposures: bool = True
+    takes_model: bool = True
 
 
 _IN_STAGES = Traits(takes_prior=False, frees_board_and_exposures=False)
@@ -87,8 +100,16 @@ TRAITS: dict[str, Traits] = {
     "opencv": Traits(takes_skew=False, takes_prior=False, frees_board_and_exposures=False),
     "absolute-orientation": _IN_STAGES,
     "wide-field": Traits(only_model="fisheye4"),
+    "rectangles": Traits(
+        evidence="rectangles", takes_skew=False, needs_prior=True, frees_board_and_exposures=False, takes_model=False
+    ),
 }
 """Of those that do not take everything."""
+
+
+def evidence_of(name: str) -> str:
+    """The kind of evidence that a calibrator works from."""
+    return TRAITS.get(name, Traits()).evidence
 
 
 def model_for(name: str, model: str) -> str:
@@ -101,6 +122,10 @@ def unsuited(name: str, request: CalibrationRequest) -> str:
     traits, model = TRAITS.get(name, Traits()), model_for(name, request.model)
     if traits.only_model is not None and model != traits.only_model:
         return f"calibrator {name!r} solves for {traits.only_model} lenses alone; got {model}"
+    if not traits.takes_model and request.model != "auto" and not _is_of_prior(request):
+        return f"calibrator {name!r} takes the cameras of the prior, not {request.model}"
+    if traits.needs_prior and request.prior is None:
+        return f"calibrator {name!r} needs a prior: the cameras and the pose between them before they turned"
     if request.skew and not traits.takes_skew:
         return f"calibrator {name!r} knows no skew; drl and lm do"
     if request.prior is not None and not traits.takes_prior:
@@ -113,6 +138,10 @@ def unsuited(name: str, request: CalibrationRequest) -> str:
         if request.exposure == "apart":
             return f"calibrator {name!r} takes both exposures for one moment; drl and lm free them"
     return ""
+
+
+def _is_of_prior(request: CalibrationRequest) -> bool:
+    return request.prior is not None and request.model == request.prior.rig.left.model
 
 
 def refuse_unsuited(name: str, request: CalibrationRequest) -> None:

@@ -19,6 +19,7 @@ from binocal.threads import n_threads, set_threads
 
 if TYPE_CHECKING:
     from binocal.app import CalibrationRun
+    from binocal.boards import Board
     from binocal.solvers.prior import RigPrior
 
 app = typer.Typer(
@@ -62,6 +63,7 @@ class Exposures(enum.StrEnum):
 
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
 MODELS = "|".join(Model)
+TURNING = "turning"
 BOARD_HELP = (
     "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
     "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, or a YAML file. "
@@ -148,9 +150,21 @@ def demo(
 
 @app.command()
 def calibrate(
-    left: Left,
-    right: Right,
-    board: BoardSpec,
+    left: Annotated[
+        str | None, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")
+    ] = None,
+    board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    corners: Annotated[
+        Path | None,
+        typer.Option(
+            "--corners",
+            help="In place of images: corners that --evidence wrote, or rectangles that turning cameras saw.",
+            metavar="CORNERS.NPZ",
+        ),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "rig.json"
     ),
@@ -166,8 +180,8 @@ def calibrate(
         str,
         typer.Option(
             "--calibrator",
-            help="drl, drl-increments, lm, opencv, alternating, absolute-orientation, heterogeneous, wide-field, weights that "
-            "train wrote, or what another package adds.",
+            help="drl, drl-increments, lm, opencv, alternating, absolute-orientation, heterogeneous, wide-field, rectangles, "
+            "weights that train wrote, or what another package adds.",
             metavar="NAME",
         ),
     ] = "drl",
@@ -241,23 +255,31 @@ def calibrate(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Calibrate a stereo rig from images of a board."""
+    """Calibrate a stereo rig from images of a board, or from corners in a file."""
     from binocal import app as verbs
-    from binocal.calibrators.registry import unsuited
+    from binocal.calibrators.registry import evidence_of, unsuited
     from binocal.cli import documents, tables
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats.board_file import read_measured_board
     from binocal.formats.opencv_yaml import check_opencv_output
     from binocal.output import check_output
 
-    parsed = _parse_board(board)
+    parsed = _parse_source(left, right, board, corners)
     _check_calibrator(calibrator)
+    if (kind := evidence_of(calibrator)) != "board" and corners is None:
+        raise typer.BadParameter(
+            f"calibrator {calibrator!r} works from {kind} in a file: give --corners FILE, not images."
+        )
+    if corners is not None and (preprocess or board_file is not None):
+        raise typer.BadParameter("--preprocess and --board-file belong to images; leave them out, or --corners.")
+    if evidence is not None and kind != "board":
+        raise typer.BadParameter("--evidence keeps corners of a board; leave it out.")
     if opencv is not None and skew:
         raise typer.BadParameter("OpenCV's functions ignore skew; leave out --skew or --opencv.")
     outputs = {"--output": [output], "--evidence": [] if evidence is None else [evidence]}
     for path in (output, *outputs["--evidence"]):
         check_output(path, force=force)
-        _refuse_input_as_output(path, left, right)
+        _refuse_input_as_output(path, *(str(source) for source in (left, right, corners) if source is not None))
     outputs["--opencv"] = [] if opencv is None else check_opencv_output(opencv, force=force)
     _check_distinct(outputs)
     known = _read_prior(prior, hold, model.value)
@@ -269,9 +291,16 @@ def calibrate(
         raise typer.BadParameter(f"{why}.")
     with progress_on_terminal() as progress:
         request = replace(request, progress=progress)
-        run = verbs.calibrate_images(
-            left, right, parsed, request, calibrator=calibrator, preprocess=preprocess, measured_board=measured_board
-        )
+        if corners is not None or parsed is None:
+            assert corners is not None  # there is no other source without a board
+            run = verbs.calibrate_corners(corners, request, calibrator=calibrator)
+        else:
+            run = verbs.calibrate_images(
+                *(str(left), str(right), parsed, request),
+                calibrator=calibrator,
+                preprocess=preprocess,
+                measured_board=measured_board,
+            )
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     _write_calibration(run, output, evidence, opencv, force)
     is_good = max_rms is None or run.calibration.rms.all_px <= max_rms
@@ -291,7 +320,8 @@ def simulate(
         str,
         typer.Option(
             "--rig",
-            help="table2 (the paper's rig), colour-thermal, thermal-180, thermal-210, a rig.json, or OpenCV's file.",
+            help="table2 (the paper's rig), colour-thermal, thermal-180, thermal-210, a rig.json, OpenCV's file, or turning: "
+            "cameras that turn before a rectangle, without --board.",
             metavar="NAME",
         ),
     ] = "table2",
@@ -338,6 +368,8 @@ def simulate(
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
 
+    if rig == TURNING:
+        return _simulate_turning(pairs, output, (board, scene), seed, force, json)
     if (board is None) == (scene is None):
         raise typer.BadParameter("give either --board SPEC or --scene street|room.")
     if gap and scene is None:
@@ -359,6 +391,25 @@ def simulate(
         else:
             truth = verbs.simulate_scene(setup.rig, str(scene), pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"
+    _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
+    return FINE
+
+
+def _simulate_turning(
+    pairs: int, output: Path, shown: tuple[str | None, str | None], seed: int, force: bool, json: bool
+) -> int:
+    """Cameras that turn before a rectangle."""
+    from binocal import app as verbs
+    from binocal.formats import rig_json
+    from binocal.output import check_output_folder
+
+    if shown != (None, None):
+        raise typer.BadParameter(f"--rig {TURNING} shows a rectangle; leave out --board and --scene.")
+    check_output_folder(output, force=force)
+    truth = verbs.simulate_turning_cameras(pairs, output, seed=seed, force=force)
+    text = (
+        f"corners.npz of {len(truth.names)} pairs, rig.json from before the cameras turned, and truth.json in {output}"
+    )
     _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
     return FINE
 
@@ -745,7 +796,7 @@ def _write_calibration(
     from binocal.output import write_together
 
     contents: dict[str | Path, Any] = {}
-    if evidence is not None:
+    if evidence is not None and run.detections is not None:
         contents[evidence] = detections_content(run.detections, run.calibration.board_shape)
     refusal = None
     try:
@@ -765,6 +816,20 @@ def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
         print_document(dump_json(jsonable(document)))
     else:
         print(text)
+
+
+def _parse_source(left: str | None, right: str | None, board: str | None, corners: Path | None) -> Board | None:
+    """The board of the images; None where the corners are in a file."""
+    if corners is None:
+        for name, given in (("--left", left), ("--right", right), ("--board", board)):
+            if given is None:
+                raise typer.BadParameter(
+                    f"missing option {name!r}: give --left, --right and --board, or --corners FILE."
+                )
+        return _parse_board(str(board))
+    if (left, right, board) != (None, None, None):
+        raise typer.BadParameter("give either --left, --right and --board, or --corners FILE.")
+    return None
 
 
 def _refuse_input_as_output(path: Path, *sources: str) -> None:
