@@ -12,6 +12,7 @@ from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_imag
 from binocal.app.simulate import SimulateOptions, simulate, simulate_scene
 from binocal.app.simulate_turning import simulate_turning_cameras
 from binocal.app.train import TrainedAgent, TrainRequest, board_of_folder, train
+from binocal.app.zoom import calibrate_zoom_images, simulate_zoom
 from binocal.calibrators.base import CalibrationRequest
 
 __all__ = [
@@ -26,11 +27,13 @@ __all__ = [
     "board_of_folder",
     "calibrate_corners",
     "calibrate_images",
+    "calibrate_zoom_images",
     "demo",
     "evaluate_images",
     "evaluate_truth",
     "simulate",
     "simulate_scene",
     "simulate_turning_cameras",
+    "simulate_zoom",
     "train",
 ]

@@ -25,6 +25,7 @@ from binocal.calibrators.registry import (
 )
 from binocal.evidence import Detections
 from binocal.evidence.rectangles import RectanglePairs
+from binocal.evidence.zoom_settings import ZoomSettings
 from binocal.result import StereoCalibration
 from binocal.solvers.prior import RigPrior
 
@@ -41,7 +42,7 @@ __all__ = [
 
 
 def calibrate(
-    evidence: Detections | RectanglePairs,
+    evidence: Detections | RectanglePairs | ZoomSettings,
     *,
     calibrator: str = "drl",
     model: str = "auto",
@@ -57,7 +58,7 @@ def calibrate(
 ) -> StereoCalibration:
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
-    Evidence of another kind than a board's corners is for the calibrator that works from it (``rectangles``).
+    Evidence of another kind than a board's corners is for the calibrator that works from it (``rectangles``, ``zoom``).
     ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the plainest, unless rows and lengths of
     held-out views speak decisively for another. Skew is 0 unless ``skew``. With ``max_views`` only the views that
     determine depth best are used, at most so many; ``provenance["view_choice"]`` says what that costs. ``options`` are the
@@ -88,7 +89,7 @@ def calibrate(
 
 
 def calibrate_as_requested(
-    evidence: Detections | RectanglePairs,
+    evidence: Detections | RectanglePairs | ZoomSettings,
     request: CalibrationRequest,
     *,
     calibrator: str = "drl",
@@ -122,7 +123,7 @@ def calibrate_as_requested(
 
 
 def calibrate_named_or_best_model(
-    evidence: Detections | RectanglePairs, method: Calibrator, request: CalibrationRequest
+    evidence: Detections | RectanglePairs | ZoomSettings, method: Calibrator, request: CalibrationRequest
 ) -> StereoCalibration:
     """What the method makes of all of the evidence, with the model asked for, the prior's, or the best one."""
     if request.model == "auto" and request.prior is not None:

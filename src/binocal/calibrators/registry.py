@@ -66,6 +66,12 @@ def _rectangles() -> Calibrator:
     return calibrate_rectangles
 
 
+def _zoom() -> Calibrator:
+    from binocal.calibrators.zoom import calibrate_zoom
+
+    return calibrate_zoom
+
+
 CALIBRATORS: dict[str, Callable[[], Calibrator]] = {
     "drl": _drl,
     "drl-increments": _drl_increments,
@@ -76,12 +82,13 @@ CALIBRATORS: dict[str, Callable[[], Calibrator]] = {
     "heterogeneous": _heterogeneous,
     "wide-field": _wide_field,
     "rectangles": _rectangles,
+    "zoom": _zoom,
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What a built-in calibrator takes: the kind of evidence (``board`` or ``rectangles``), and what of a request.
+    """What a built-in calibrator takes: the kind of evidence (``board``, ``rectangles`` or ``zoom``), and what of a request.
 
     ``only_model`` is the one camera model that it solves for, None: any.
     """
@@ -103,6 +110,7 @@ TRAITS: dict[str, Traits] = {
     "rectangles": Traits(
         evidence="rectangles", takes_skew=False, needs_prior=True, frees_board_and_exposures=False, takes_model=False
     ),
+    "zoom": Traits(evidence="zoom", takes_skew=False, takes_prior=False),
 }
 """Of those that do not take everything."""
 

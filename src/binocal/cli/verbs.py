@@ -18,7 +18,7 @@ from binocal.errors import DataError, FormatError
 from binocal.threads import n_threads, set_threads
 
 if TYPE_CHECKING:
-    from binocal.app import CalibrationRun
+    from binocal.app import CalibrationRequest, CalibrationRun
     from binocal.boards import Board
     from binocal.solvers.prior import RigPrior
 
@@ -63,7 +63,7 @@ class Exposures(enum.StrEnum):
 
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
 MODELS = "|".join(Model)
-TURNING = "turning"
+TURNING, ZOOM = "turning", "zoom"
 BOARD_HELP = (
     "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
     "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, or a YAML file. "
@@ -165,6 +165,18 @@ def calibrate(
             metavar="CORNERS.NPZ",
         ),
     ] = None,
+    zoom: Annotated[
+        Path | None,
+        typer.Option(
+            "--zoom",
+            help="In place of --left and --right: images at several zoom settings, in a CSV file of setting,left,right.",
+            metavar="SETTINGS.CSV",
+        ),
+    ] = None,
+    at: Annotated[
+        float | None,
+        typer.Option("--at", help="The zoom setting of the rig (default: the middle).", metavar="X", callback=_finite),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "rig.json"
     ),
@@ -181,7 +193,7 @@ def calibrate(
         typer.Option(
             "--calibrator",
             help="drl, drl-increments, lm, opencv, alternating, absolute-orientation, heterogeneous, wide-field, rectangles, "
-            "weights that train wrote, or what another package adds.",
+            "zoom, weights that train wrote, or what another package adds.",
             metavar="NAME",
         ),
     ] = "drl",
@@ -264,12 +276,17 @@ def calibrate(
     from binocal.formats.opencv_yaml import check_opencv_output
     from binocal.output import check_output
 
-    parsed = _parse_source(left, right, board, corners)
+    parsed = _parse_source((left, right), board, corners, zoom)
     _check_calibrator(calibrator)
-    if (kind := evidence_of(calibrator)) != "board" and corners is None:
-        raise typer.BadParameter(
-            f"calibrator {calibrator!r} works from {kind} in a file: give --corners FILE, not images."
-        )
+    kind = evidence_of(calibrator)
+    if kind == "rectangles" and corners is None:
+        raise typer.BadParameter(f"calibrator {calibrator!r} works from rectangles in a file: give --corners FILE.")
+    if (kind == "zoom") != (zoom is not None):
+        raise typer.BadParameter("--calibrator zoom and --zoom SETTINGS.CSV belong together.")
+    if at is not None and zoom is None:
+        raise typer.BadParameter("--at is a setting of --zoom.")
+    if board_file is not None and zoom is not None:
+        raise typer.BadParameter("--board-file does not go with --zoom.")
     if corners is not None and (preprocess or board_file is not None):
         raise typer.BadParameter("--preprocess and --board-file belong to images; leave them out, or --corners.")
     if evidence is not None and kind != "board":
@@ -279,7 +296,7 @@ def calibrate(
     outputs = {"--output": [output], "--evidence": [] if evidence is None else [evidence]}
     for path in (output, *outputs["--evidence"]):
         check_output(path, force=force)
-        _refuse_input_as_output(path, *(str(source) for source in (left, right, corners) if source is not None))
+        _refuse_input_as_output(path, *(str(source) for source in (left, right, corners, zoom) if source is not None))
     outputs["--opencv"] = [] if opencv is None else check_opencv_output(opencv, force=force)
     _check_distinct(outputs)
     known = _read_prior(prior, hold, model.value)
@@ -294,6 +311,8 @@ def calibrate(
         if corners is not None or parsed is None:
             assert corners is not None  # there is no other source without a board
             run = verbs.calibrate_corners(corners, request, calibrator=calibrator)
+        elif zoom is not None:
+            run = _calibrate_zoom(zoom, parsed, request, at, preprocess)
         else:
             run = verbs.calibrate_images(
                 *(str(left), str(right), parsed, request),
@@ -320,8 +339,8 @@ def simulate(
         str,
         typer.Option(
             "--rig",
-            help="table2 (the paper's rig), colour-thermal, thermal-180, thermal-210, a rig.json, OpenCV's file, or turning: "
-            "cameras that turn before a rectangle, without --board.",
+            help="table2 (the paper's rig), colour-thermal, thermal-180, thermal-210, a rig.json, OpenCV's file; zoom: N pairs at "
+            "each of 13 settings; turning: cameras that turn before a rectangle, without --board.",
             metavar="NAME",
         ),
     ] = "table2",
@@ -368,6 +387,8 @@ def simulate(
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
 
+    if rig == ZOOM:
+        return _simulate_zoom(pairs, output, (board, scene), (blur, noise, seed), force, json)
     if rig == TURNING:
         return _simulate_turning(pairs, output, (board, scene), seed, force, json)
     if (board is None) == (scene is None):
@@ -392,6 +413,34 @@ def simulate(
             truth = verbs.simulate_scene(setup.rig, str(scene), pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"
     _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
+    return FINE
+
+
+def _simulate_zoom(
+    pairs: int,
+    output: Path,
+    shown: tuple[str | None, str | None],
+    look: tuple[float, float, int],
+    force: bool,
+    json: bool,
+) -> int:
+    """A pair with zoom lenses at several settings."""
+    from binocal import app as verbs
+    from binocal.cli.progress import progress_on_terminal
+    from binocal.output import check_output_folder
+
+    board, scene = shown
+    if board is None or scene is not None:
+        raise typer.BadParameter(f"--rig {ZOOM} shows a board: give --board SPEC, and no --scene.")
+    parsed = _parse_board(board)
+    if not parsed.is_metric:
+        raise typer.BadParameter("a simulated board needs its size: give the length a unit, such as 20mm.")
+    check_output_folder(output, force=force)
+    with progress_on_terminal() as progress:
+        options = verbs.SimulateOptions(*look)
+        settings = verbs.simulate_zoom(parsed, pairs, output, options, force=force, progress=progress)
+    text = f"{pairs} pairs at each of {len(settings)} zoom settings and settings.csv in {output}"
+    _present({"settings": list(settings), "pairs": pairs, "output": str(output)}, text, json)
     return FINE
 
 
@@ -818,8 +867,26 @@ def _present(document: dict[str, Any], text: str, as_json: bool) -> None:
         print(text)
 
 
-def _parse_source(left: str | None, right: str | None, board: str | None, corners: Path | None) -> Board | None:
+def _calibrate_zoom(
+    zoom: Path, board: Board, request: CalibrationRequest, at: float | None, preprocess: bool
+) -> CalibrationRun:
+    from binocal import app as verbs
+
+    try:
+        return verbs.calibrate_zoom_images(zoom, board, request, setting=at, preprocess=preprocess)
+    except ValueError as error:
+        raise typer.BadParameter(f"--at: {error}.") from None
+
+
+def _parse_source(
+    images: tuple[str | None, str | None], board: str | None, corners: Path | None, zoom: Path | None
+) -> Board | None:
     """The board of the images; None where the corners are in a file."""
+    left, right = images
+    if zoom is not None:
+        if (left, right, corners) != (None, None, None) or board is None:
+            raise typer.BadParameter("--zoom SETTINGS.CSV goes with --board alone: the file names the images.")
+        return _parse_board(board)
     if corners is None:
         for name, given in (("--left", left), ("--right", right), ("--board", board)):
             if given is None:
