@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import binocal
+from binocal import app
 from binocal.calibrators.absolute_orientation import fit_motion
 from binocal.calibrators.base import CalibrationRequest
-from binocal.calibrators.registry import CALIBRATORS, TRAITS, load_calibrator, unsuited
+from binocal.calibrators.registry import CALIBRATORS, TRAITS, evidence_of, load_calibrator, unsuited
+from binocal.errors import InconsistentViewsError
 from binocal.geometry import SE3, so3
 from binocal.metrics.binocular import binocular_error_px
 from binocal.simulation import SETUPS, StereoScene, render_pairs, sample_board_poses, simulate_detections
@@ -165,7 +167,8 @@ def test_what_a_method_cannot_do_is_refused_by_name():
         "absolute-orientation": ("prior", "as drawn", "moment"),
         "wide-field": ("fisheye4",),
     }
-    for name in CALIBRATORS:
+    of_boards = [name for name in CALIBRATORS if evidence_of(name) == "board"]
+    for name in of_boards:
         for word, choice in asked.items():
             request = CalibrationRequest(**{"model": "brown4" if name != "wide-field" else "fisheye4", **choice})
             why = unsuited(name, request)
@@ -174,4 +177,34 @@ def test_what_a_method_cannot_do_is_refused_by_name():
                 assert word in why and repr(name) in why
                 with pytest.raises(ValueError, match=word):
                     load_calibrator(name)(corners_for(name), request)
-    assert set(refused) == set(TRAITS)
+    assert set(refused) == set(TRAITS) & set(of_boards)
+
+
+@pytest.mark.parametrize("name", ["opencv", "absolute-orientation"])
+def test_pairs_that_were_not_taken_together_are_named(name):
+    evidence = make_corners(12, seed=4)
+    assert "exposures-apart" not in [found.code for found in solve(name, evidence).findings]
+    away = np.random.default_rng(0).normal(0, 1, evidence.right_px[:, :1].shape)  # of the board between the exposures
+    moved = replace(evidence, right_px=evidence.right_px + 0.8 * away)
+    made = solve(name, moved)
+    assert "exposures-apart" in [found.code for found in made.findings] and made.exposure.ratio > 1.5
+    with pytest.raises(InconsistentViewsError, match=r"not taken together"):
+        solve(name, replace(evidence, right_px=evidence.right_px + 30 * away))
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_real_thermal_pairs(data_dir):
+    folder = data_dir / "thermal_stereo_aditya" / "raw_csv_png"
+    run = app.calibrate_images(
+        str(folder / "left" / "*.png"),
+        str(folder / "right" / "*.png"),
+        binocal.Board.from_spec("chessboard:7x6"),
+        CalibrationRequest("brown4"),
+        calibrator="heterogeneous",
+    )
+    made = run.calibration
+    # 320x240, a heated board: found in 8 of 16 pairs (OpenCV: 4), one of them not taken together
+    assert len(made.views) >= 6 and made.rms.all_px < 0.1
+    assert made.rig.left.parameters[0] == pytest.approx(768, abs=4 * made.covariance.sigma["left.fx"])
+    assert set(made.provenance["heterogeneous"]["added_noise_px"]) == {"left", "right"}

@@ -63,7 +63,7 @@ def test_views_that_disagree_widen_it():
     shift = rng.normal(0, 1.0, (16, 1, 2))  # of the right images against the left: exposures of other moments
     apart = replace(evidence, right_px=evidence.right_px + shift)
     one, other = (binocal.calibrate(e, calibrator="opencv", model="brown4") for e in (evidence, apart))
-    factor = [made.provenance["covariance"]["sigma_factor"] for made in (one, other)]
+    factor = [made.provenance["views_in_common"]["sigma_factor"] for made in (one, other)]
     assert factor[0] < 1.1 and factor[1] > 2.0
     assert other.covariance.sigma["rotation.x"] > 3 * one.covariance.sigma["rotation.x"]
 

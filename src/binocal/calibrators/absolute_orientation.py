@@ -63,17 +63,18 @@ def calibrate_absolute_orientation(evidence: Detections, request: CalibrationReq
         raise TooFewViewsError(n_pairs, 1, remedy="add views in which both cameras see the board")
     T_right_left = fit_motion(left.T_camera_board.apply(points), right.T_camera_board.apply(points), weights)
     second = pose_stage_of_points(cameras, points, T_right_left, weights)
-    T_left_board, n_iterations, has_arrived = poses_by_both(diagnosed, cameras, T_right_left), n_left + n_right, True
+    T_left_board, n_iterations = poses_by_both(diagnosed, cameras, T_right_left), n_left + n_right
+    fitted, n, has_arrived = _refined(diagnosed, cameras, T_left_board, T_right_left)
     if request.options.get("refine", False):
-        T_right_left, n, has_arrived = _refined(diagnosed, cameras, T_left_board, T_right_left)
-        n_iterations += n
+        T_right_left, n_iterations = fitted, n_iterations + n
         T_left_board = poses_by_both(diagnosed, cameras, T_right_left)
         px = (diagnosed.views.left_px, diagnosed.views.right_px)
         second = pose_stage_of_pixels(cameras, points, T_left_board, T_right_left, px, left.is_used & right.is_used)
     is_converged = left_arrived and right_arrived and has_arrived
     provenance = {"absolute_orientation": {"pairs": n_pairs, "refined": bool(request.options.get("refine", False))}}
     return summarize_stages(
-        diagnosed, StagedSolve(cameras, T_right_left, second, T_left_board, n_iterations, is_converged, provenance)
+        diagnosed,
+        StagedSolve(cameras, T_right_left, second, T_left_board, n_iterations, is_converged, provenance, fitted),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal import acceptance
+from binocal.acceptance.whole_set import APART_T, CLEARLY_APART_RATIO, CLEARLY_APART_T, NOT_FREED
 from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.set_checking import without_copies
 from binocal.cameras import Camera, StereoRig, camera_model
@@ -23,6 +24,7 @@ from binocal.initialization.diagnosis import diagnose_views
 from binocal.result import (
     Covariance,
     Evidence,
+    ExposureFit,
     OutlierCorner,
     RejectedView,
     ResidualSummary,
@@ -38,6 +40,9 @@ from binocal.solvers.poses import estimate_board_poses
 from binocal.solvers.staged_covariance import CameraStage, PoseStage, staged_covariance
 
 SIDES = ("left", "right")
+LEAST_RATIO = (
+    1.2  # of the pair's noise over the cameras': what cameras that were fitted alone cost the pair stays below 1.1
+)
 MIN_CORNERS = 6  # of a view in one camera: fewer hardly tell a pose beside the lens
 
 
@@ -129,7 +134,10 @@ def _stage(problem: BundleProblem, minimum: BundleMinimum) -> CameraStage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StagedSolve:
-    """What the stages made: cameras, ``T_right_left``, how it was linearised, a pose per view, iterations, what else to say."""
+    """What the stages made: cameras, ``T_right_left``, how it was linearised, a pose per view, iterations, what else to say.
+
+    ``fitted`` is the pose between the cameras that fits all corners best with the cameras held, where that is another.
+    """
 
     cameras: tuple[CameraStage, CameraStage]
     T_right_left: SE3
@@ -138,6 +146,7 @@ class StagedSolve:
     n_iterations: int
     is_converged: bool
     provenance: Mapping[str, Any]
+    fitted: SE3 | None = None
 
 
 def poses_by_both(diagnosed: DiagnosedViews, cameras: tuple[CameraStage, CameraStage], T_right_left: SE3) -> SE3:
@@ -164,40 +173,81 @@ def summarize_stages(diagnosed: DiagnosedViews, solve: StagedSolve) -> StereoCal
     views = diagnosed.views
     rig = _rig(views, solve.cameras, solve.T_right_left)
     names, covariance, factor = staged_covariance(solve.cameras, views.object_points_m, solve.second, rig.T_right_left)
-    in_left = solve.T_left_board.apply(views.object_points_m)
-    lengths2 = [
+    lengths2 = _lengths2(views, rig, solve.T_left_board)
+    exposure, apart = _exposure(diagnosed, solve, lengths2)
+    rows = [_view_result(diagnosed, i, lengths2, solve.cameras) for i in range(views.n_views)]
+    used2 = [np.where(camera.is_used, r2, np.nan) for camera, r2 in zip(solve.cameras, lengths2, strict=True)]
+    rms = [_rms(r2) for r2 in (*used2, np.stack(used2))]
+    T_left_board = SE3(solve.T_left_board.R, solve.T_left_board.t)
+    calibration = StereoCalibration(
+        rig=rig,
+        covariance=Covariance(names, covariance),
+        rms=ResidualSummary(*rms),
+        noise_px=_pooled_noise_px(solve.cameras),
+        views=tuple(rows),
+        rejected=diagnosed.rejected,
+        findings=(*apart, *diagnosed.findings),
+        n_iterations=solve.n_iterations,
+        exposure=exposure,
+        provenance={
+            "stages": {"noise_px": {side: c.noise_px for side, c in zip(SIDES, solve.cameras, strict=True)}},
+            "views_in_common": {"sigma_factor": factor},
+            **solve.provenance,
+        },
+        evidence=Evidence(views, T_left_board),
+    )
+    motion = acceptance.gross_motion(exposure, acceptance.corner_spacing_px(views))
+    if motion is not None:
+        raise refusal(motion, acceptance.describe_views(calibration))
+    return acceptance.apply_rules(calibration, is_converged=solve.is_converged)
+
+
+def _lengths2(views: Detections, rig: StereoRig, T_left_board: SE3) -> list[Float[ndarray, "views n"]]:
+    """Squared distances of each camera's corners from their predictions, NaN where not seen."""
+    in_left = T_left_board.apply(views.object_points_m)
+    return [
         np.square(px - camera.project(points)).sum(axis=-1)
         for px, camera, points in (
             (views.left_px, rig.left, in_left),
             (views.right_px, rig.right, rig.T_right_left.apply(in_left)),
         )
     ]
-    rows = [_view_result(diagnosed, i, lengths2, solve.cameras) for i in range(views.n_views)]
-    used2 = [np.where(camera.is_used, r2, np.nan) for camera, r2 in zip(solve.cameras, lengths2, strict=True)]
-    rms = [_rms(r2) for r2 in (*used2, np.stack(used2))]
-    counts = np.array([camera.is_used.sum() for camera in solve.cameras])
-    noise_px = float(np.sqrt(np.sum(counts * np.square([c.noise_px for c in solve.cameras])) / counts.sum()))
-    T_left_board = SE3(solve.T_left_board.R, solve.T_left_board.t)
-    calibration = StereoCalibration(
-        rig=rig,
-        covariance=Covariance(names, covariance),
-        rms=ResidualSummary(*rms),
-        noise_px=noise_px,
-        views=tuple(rows),
-        rejected=diagnosed.rejected,
-        findings=diagnosed.findings,
-        n_iterations=solve.n_iterations,
-        provenance={
-            "covariance": {
-                "kind": "first order, through all stages",
-                "noise_px": [camera.noise_px for camera in solve.cameras],
-                "sigma_factor": factor,
-            },
-            **solve.provenance,
-        },
-        evidence=Evidence(views, T_left_board),
-    )
-    return acceptance.apply_rules(calibration, is_converged=solve.is_converged)
+
+
+def _exposure(
+    diagnosed: DiagnosedViews, solve: StagedSolve, lengths2: list[Float[ndarray, "views n"]]
+) -> tuple[ExposureFit, tuple[Finding, ...]]:
+    """How each camera alone fits against the pair, and a warning where the pair fits worse by more than chance.
+
+    With one pose per pair in place of two, the squares grow by six for each pair but the first, in squares of the noise, and by what
+    cameras that each were fitted to their own noise cost.
+    """
+    if solve.fitted is not None:
+        T_left_board = poses_by_both(diagnosed, solve.cameras, solve.fitted)
+        lengths2 = _lengths2(diagnosed.views, _rig(diagnosed.views, solve.cameras, solve.fitted), T_left_board)
+    both = solve.cameras[0].is_used & solve.cameras[1].is_used
+    n_views, n = int(both.any(axis=1).sum()), int(both.sum())
+    excess, pair2 = 0.0, 0.0
+    for camera, r2 in zip(solve.cameras, lengths2, strict=True):
+        together = float(r2[both].sum()) / camera.noise_px**2
+        pair2 += together
+        excess += together - float(np.square(camera.residuals_px[both]).sum()) / camera.noise_px**2
+    n_cameras = sum(int(camera.is_free.sum()) for camera in solve.cameras)
+    expected = 6 * (n_views - 1) + n_cameras
+    T = (excess - expected) / np.sqrt(2 * expected)
+    noise_px = _pooled_noise_px(solve.cameras)
+    ratio = np.sqrt(pair2 / max(4 * n - 6 * n_views - 6 - n_cameras, 1))
+    exposure = ExposureFit(noise_px, noise_px * max(float(ratio), 1.0))
+    is_apart = T > APART_T and exposure.ratio > LEAST_RATIO
+    if not (is_apart or (T > CLEARLY_APART_T and exposure.ratio > CLEARLY_APART_RATIO)):
+        return exposure, ()
+    return exposure, (finding("exposures-apart", alone_px=exposure.alone_px, pair_px=exposure.pair_px, how=NOT_FREED),)
+
+
+def _pooled_noise_px(cameras: tuple[CameraStage, CameraStage]) -> float:
+    """Noise of a corner coordinate over both cameras."""
+    counts = np.array([camera.is_used.sum() for camera in cameras])
+    return float(np.sqrt(np.sum(counts * np.square([c.noise_px for c in cameras])) / counts.sum()))
 
 
 def _view_result(
