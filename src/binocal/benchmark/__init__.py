@@ -84,6 +84,12 @@ def _real(**options: Any) -> dict[str, Any]:
     return run_real_benchmark(**options)
 
 
+def _related(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.related import run_related_benchmark
+
+    return run_related_benchmark(**options)
+
+
 def _scale(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.scale import run_scale_benchmark
 
@@ -114,6 +120,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "pipeline": _pipeline,
     "precision": _precision,
     "real": _real,
+    "related": _related,
     "rig": _rig,
     "scale": _scale,
     "solver": _solver,
