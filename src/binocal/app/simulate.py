@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -20,24 +19,25 @@ from binocal.images.png import encode_png
 from binocal.output import staged_folder, write_part
 from binocal.progress import ProgressCallback, stage_of
 
-if TYPE_CHECKING:
-    from binocal.simulation import Setup
-
 Images = Iterator[tuple[int, str, ndarray]]
 
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """How to render: Gaussian blur of the lens (sigma, pixels), sensor noise (grey levels), seed, time between a pair's exposures."""
+    """How to render: Gaussian blur of the lens (sigma, pixels), sensor noise (grey levels), seed, time between a pair's exposures.
+
+    ``light`` is what the cameras see of a board: ``visible``, ``colour-thermal`` or ``thermal`` (:mod:`binocal.simulation.setups`).
+    """
 
     blur_px: float = 0.8
     noise_dn: float = 3.0
     seed: int = 0
     gap_s: float = 0.0
+    light: str = "visible"
 
 
 def simulate(
-    rig: StereoRig | Setup,
+    rig: StereoRig,
     board: Board,
     n_pairs: int,
     output: str | Path,
@@ -48,7 +48,6 @@ def simulate(
 ) -> rig_json.Truth:
     """Render ``n_pairs`` images of a board into ``output``: left_00.png, right_00.png, …, and truth.json.
 
-    A :class:`binocal.simulation.Setup` is a rig with the light that its cameras see; a rig alone sees visible light.
     The same seed gives the same images, whatever the number of threads. ``output`` appears in full or not at all.
     With ``force``, an earlier simulation's images in it are replaced and every other file is left alone.
 
@@ -63,13 +62,11 @@ def simulate(
     options = options or SimulateOptions()
     if not board.is_metric:
         raise ValueError(f"a simulated board needs its size: give the length a unit, such as {board.kind}:…:20mm")
-    setup = rig if isinstance(rig, Setup) else Setup(rig)
-    rig = setup.rig
     _check(rig, n_pairs)
     pose_seed, image_seed = np.random.SeedSequence(options.seed).spawn(2)
     T_left_board = sample_board_poses(rig, board, n_pairs, np.random.default_rng(pose_seed))
     truth = rig_json.Truth(rig, board, _names(n_pairs), T_left_board, options.noise_dn, options.blur_px)
-    rendering = setup.with_lens_and_noise(options.blur_px, options.noise_dn)
+    rendering = Setup(rig, options.light).with_lens_and_noise(options.blur_px, options.noise_dn)
     shown = StereoScene(rig, board, T_left_board)
     _write(render_pairs(shown, rendering, image_seed, stage_of(progress, "rendering")), truth, output, force)
     return truth

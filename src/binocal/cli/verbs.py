@@ -401,14 +401,14 @@ def simulate(
     if scene is not None:
         _one_of("--scene", scene, ("street", "room"))
     check_output_folder(output, force=force)
-    options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap)
     from binocal.formats.rig_file import load_rig
     from binocal.simulation import SETUPS, Setup
 
     setup = SETUPS[rig]() if rig in SETUPS else Setup(load_rig(rig))
+    options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap, setup.light)
     with progress_on_terminal() as progress:
         if parsed is not None:
-            truth = verbs.simulate(setup, parsed, pairs, output, options, force=force, progress=progress)
+            truth = verbs.simulate(setup.rig, parsed, pairs, output, options, force=force, progress=progress)
         else:
             truth = verbs.simulate_scene(setup.rig, str(scene), pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"

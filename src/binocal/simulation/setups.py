@@ -18,20 +18,25 @@ THERMAL = RenderOptions(black_dn=150.0, white_dn=95.0, background_dn=115.0, clut
 THERMAL_BLUR = 1.5  # times that of the colour camera beside it, in pixels
 
 
+LIGHTS = {"visible": (VISIBLE, VISIBLE), "colour-thermal": (VISIBLE, THERMAL), "thermal": (THERMAL, THERMAL)}
+"""What the left and the right camera see."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """A rig and how its two cameras see a board."""
+    """A rig, and the light by which its two cameras see a board, one of :data:`LIGHTS`."""
 
     rig: StereoRig
-    left: RenderOptions = VISIBLE
-    right: RenderOptions = VISIBLE
+    light: str = "visible"
 
     def with_lens_and_noise(self, blur_px: float, noise_dn: float) -> tuple[RenderOptions, RenderOptions]:
         """Both cameras' options; a thermal camera beside one of visible light is blurred more."""
-        left = replace(self.left, blur_px=blur_px, noise_dn=noise_dn)
-        is_mixed = self.right.black_dn > self.right.white_dn and self.left.black_dn < self.left.white_dn
-        factor = THERMAL_BLUR if is_mixed else 1.0
-        return left, replace(self.right, blur_px=factor * blur_px, noise_dn=noise_dn)
+        left, right = LIGHTS[self.light]
+        factor = THERMAL_BLUR if left is not right else 1.0
+        return (
+            replace(left, blur_px=blur_px, noise_dn=noise_dn),
+            replace(right, blur_px=factor * blur_px, noise_dn=noise_dn),
+        )
 
 
 def colour_thermal_setup() -> Setup:
@@ -39,7 +44,7 @@ def colour_thermal_setup() -> Setup:
     left = Camera("brown4", (1280, 720), np.array([1105.0, 1104.0, 645.0, 356.0, 0.0, -0.09, 0.08, 3e-4, -2e-4]))
     right = Camera("brown4", (640, 480), np.array([560.0, 559.5, 316.0, 243.0, 0.0, -0.21, 0.09, -5e-4, 4e-4]))
     T_right_left = SE3(so3.exp(np.radians([0.4, 1.0, -0.5])), np.array([-0.100, 0.004, 0.006]))
-    return Setup(StereoRig(left, right, T_right_left), right=THERMAL)
+    return Setup(StereoRig(left, right, T_right_left), "colour-thermal")
 
 
 def wide_thermal_setup(field_deg: float) -> Setup:
@@ -57,7 +62,7 @@ def wide_thermal_setup(field_deg: float) -> Setup:
         )
     )
     T_right_left = SE3(so3.exp(np.radians([0.5, -1.0, 0.7])), np.array([-0.200, 0.003, 0.004]))
-    return Setup(StereoRig(left, right, T_right_left), THERMAL, THERMAL)
+    return Setup(StereoRig(left, right, T_right_left), "thermal")
 
 
 SETUPS: dict[str, Callable[[], Setup]] = {
