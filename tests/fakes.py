@@ -18,7 +18,7 @@ import binocal.validation  # noqa: F401 - bound to the real calibrators
 from binocal.calibrators import load_calibrator
 from binocal.findings import finding
 from binocal.result import Covariance, Evidence, RejectedView, ResidualSummary, StereoCalibration, ViewResult
-from binocal.simulation import StereoScene
+from binocal.simulation import Setup, StereoScene
 from rigs import make_detections, make_poses, make_rig
 
 
@@ -72,6 +72,8 @@ class FakePackages:
                 "table2_rig": lambda: self.rig,
                 "sample_board_poses": lambda rig, board, n_views, rng: make_poses(n_views, rng),
                 "RenderOptions": RenderOptions,
+                "Setup": Setup,
+                "SETUPS": {"table2": lambda: Setup(self.rig)},
                 "StereoScene": StereoScene,
                 "render_pairs": self._render_pairs,
             },
@@ -125,7 +127,16 @@ class FakePackages:
         )
 
     def _bound(
-        self, rig, object_points_m, T_left_board, noise_px, *, left_is_seen=None, right_is_seen=None, skew=False
+        self,
+        rig,
+        object_points_m,
+        T_left_board,
+        noise_px,
+        *,
+        left_is_seen=None,
+        right_is_seen=None,
+        skew=False,
+        weights=None,
     ):
         self.calls["bound"] = {"n_views": len(T_left_board.t), "noise_px": noise_px, "n_seen": int(left_is_seen.sum())}
         return self._calibrate(self.detections, None).covariance

@@ -202,3 +202,17 @@ def test_the_demonstration_compares_both_boards(fakes, tmp_path):
         )
     with pytest.raises(OutputExistsError):
         app.demo(tmp_path / "demo", n_pairs=6)
+
+
+def test_the_bound_of_cameras_of_two_kinds_weighs_each_by_its_own_noise():
+    from binocal.app.evaluate import _weights_of_cameras
+    from binocal.result import ResidualSummary
+
+    made = replace(make_calibration(make_rig()), noise_px=0.1)
+    alike = replace(made, rms=ResidualSummary(0.14, 0.16, 0.15))
+    assert _weights_of_cameras(alike, (2, 5)) is None
+    weights = _weights_of_cameras(replace(made, rms=ResidualSummary(0.1, 0.4, 0.3)), (2, 5))
+    a, b = weights.left, weights.right
+    assert a.shape == (2, 3, 5) and not a[:, 1].any() and not b[:, 1].any()
+    assert np.allclose(a[:, [0, 2]] / b[:, [0, 2]], 4.0)  # four times the noise
+    assert np.allclose((a[0, 0, 0] ** 2 + b[0, 0, 0] ** 2) / 2, 1.0)  # the unit is the mean information

@@ -13,7 +13,7 @@ import pytest
 
 import binocal
 from binocal import plugins
-from binocal.calibrators import known_calibrators, load_calibrator
+from binocal.calibrators import CALIBRATORS, known_calibrators, load_calibrator
 from binocal.cameras import camera_model, known_camera_models
 from binocal.cli import main
 from binocal.errors import PluginError
@@ -26,6 +26,7 @@ from binocal.metrics.pose import in_model
 from binocal.rectification import rectify
 from binocal.solvers.covariance import cramer_rao_bound
 from contracts import (
+    BOARD_CONTRACT,
     CALIBRATOR_CONTRACT,
     CAMERA_CONTRACT,
     foreign_content_is_not_taken_for_its_own,
@@ -81,7 +82,7 @@ def test_each_example_is_short():
 
 
 def test_what_is_added_is_listed_after_what_is_built_in(examples):
-    assert known_calibrators() == ("drl", "drl-increments", "lm", "trimmed")
+    assert known_calibrators() == (*CALIBRATORS, "trimmed")
     assert known_formats() == ("binocal", "opencv", "stereo-toml")
     assert known_camera_models() == ("brown4", "brown5", "brown8", "fisheye4", "division1")
     assert not {"trimmed", "stereo_toml", "division"} & set(sys.modules)  # listing imports nothing
@@ -90,7 +91,7 @@ def test_what_is_added_is_listed_after_what_is_built_in(examples):
             ask("no such thing")
 
 
-@pytest.mark.parametrize("check", CALIBRATOR_CONTRACT, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("check", (*CALIBRATOR_CONTRACT, *BOARD_CONTRACT), ids=lambda check: check.__name__)
 def test_the_calibrator_keeps_the_contract(examples, check):
     check("trimmed")
 

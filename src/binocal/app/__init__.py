@@ -6,11 +6,13 @@ Each verb takes plain values, returns one, and neither prints nor reads the envi
 
 from __future__ import annotations
 
-from binocal.app.calibrate import CalibrationRun, calibrate_images, with_checks
+from binocal.app.calibrate import CalibrationRun, calibrate_corners, calibrate_images, with_checks
 from binocal.app.demo import DemoCase, demo
 from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_images, evaluate_truth
 from binocal.app.simulate import SimulateOptions, simulate, simulate_scene
+from binocal.app.simulate_turning import simulate_turning_cameras
 from binocal.app.train import TrainedAgent, TrainRequest, board_of_folder, train
+from binocal.app.zoom import calibrate_zoom_images, simulate_zoom
 from binocal.calibrators.base import CalibrationRequest
 
 __all__ = [
@@ -23,12 +25,16 @@ __all__ = [
     "TrainedAgent",
     "TruthEvaluation",
     "board_of_folder",
+    "calibrate_corners",
     "calibrate_images",
+    "calibrate_zoom_images",
     "demo",
     "evaluate_images",
     "evaluate_truth",
     "simulate",
     "simulate_scene",
+    "simulate_turning_cameras",
+    "simulate_zoom",
     "train",
     "with_checks",
 ]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +35,8 @@ class CalibrationRun:
     """
 
     calibration: StereoCalibration
-    detections: Detections
-    """All corners as detected, those of rejected views too."""
+    detections: Detections | None
+    """All corners as detected, those of rejected views too; None where the evidence is of another kind."""
     ignored: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     elapsed_s: Mapping[str, float] = field(default_factory=dict)
@@ -110,6 +113,39 @@ def calibrate_images(
     notes = (*found.notes, f"{choice['reason']}.") if choice else found.notes
     elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
     return CalibrationRun(calibration, detections, found.ignored, notes, elapsed_s)
+
+
+def calibrate_corners(
+    path: str | Path, request: CalibrationRequest | None = None, *, calibrator: str = "drl"
+) -> CalibrationRun:
+    """Calibrate from a file of corners: detections, as ``--evidence`` writes them, or rectangles that turning cameras saw.
+
+    Raises:
+        FormatError: The file is missing, damaged or foreign.
+        DataError: It holds another kind of evidence than the calibrator works from.
+        CalibrationError: No trustworthy rig follows from it.
+    """
+    from binocal.calibrators import calibrate_as_requested
+    from binocal.calibrators.registry import evidence_of
+    from binocal.formats.detections_npz import is_detections_file, read_detections
+    from binocal.formats.rectangles_npz import read_rectangles
+
+    started = time.perf_counter()
+    kind = evidence_of(calibrator)
+    is_board = is_detections_file(path)
+    if is_board and kind != "board":
+        raise DataError(f"{path} holds corners of a board; calibrator {calibrator!r} works from {kind}.")
+    evidence: Any = read_detections(path) if is_board else read_rectangles(path)
+    if not is_board and kind != "rectangles":
+        raise DataError(f"{path} holds rectangles of turning cameras; calibrator {calibrator!r} works from a {kind}.")
+    loaded = time.perf_counter()
+    inputs = {"input_sha256": {"corners": hashlib.sha256(Path(path).read_bytes()).hexdigest()}}
+    calibration = calibrate_as_requested(
+        evidence, request or CalibrationRequest(), calibrator=calibrator, inputs=inputs
+    )
+    solved = time.perf_counter()
+    elapsed_s = {"images": loaded - started, "solve": solved - loaded, "all": solved - started}
+    return CalibrationRun(calibration, evidence if is_board else None, elapsed_s=elapsed_s)
 
 
 def _with_burnt_out(findings: tuple[Finding, ...], share: Mapping[str, float]) -> tuple[Finding, ...]:

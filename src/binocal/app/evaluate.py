@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,11 @@ from binocal.progress import ProgressCallback, ShouldStop
 from binocal.requirements.agreement import Agreement
 from binocal.result import Covariance, RejectedView, StereoCalibration
 
+if TYPE_CHECKING:
+    from binocal.solvers.whitening import CornerWeights
+
 EXACT_VIEWS = 20
+UNLIKE_NOISE = 1.5  # one camera's RMS over the other's: cameras of one kind scatter by a tenth
 MOST_FOCAL_SIGMA_SHARE = (
     0.2  # rigs are drawn about the truth with the bound's covariance: the next 5 sigma must be cameras
 )
@@ -215,6 +220,7 @@ def _bound(
             left_is_seen=is_inside(rig.left.project(poses.apply(points)), rig.left.size_wh),
             right_is_seen=is_inside(rig.right.project((rig.T_right_left @ poses).apply(points)), rig.right.size_wh),
             skew=has_skew,
+            weights=_weights_of_cameras(calibration, (len(chosen), len(points))),
         )
     except DegenerateGeometryError:
         notes.append("no bound: the truth's views that the calibration used do not determine the rig.")
@@ -225,6 +231,21 @@ def _bound(
                 notes.append(f"no bound: the truth's views do not determine the {side} camera's focal length.")
                 return None
     return rig, bound
+
+
+def _weights_of_cameras(calibration: StereoCalibration, shape: tuple[int, int]) -> CornerWeights | None:
+    """Weights of (views, n) corners by each camera's own residuals, where cameras differ in kind; None where they are alike.
+
+    Their unit is ``noise_px``, the noise of as many equal corners that carry as much information.
+    """
+    from binocal.solvers.whitening import CornerWeights
+
+    rms = np.array([calibration.rms.left_px, calibration.rms.right_px])
+    if not (rms.min() > 0 and rms.max() > UNLIKE_NOISE * rms.min()):
+        return None
+    share = np.sqrt(2 / np.sum(rms**-2.0)) / rms  # the mean information of both is that of the unit
+    left, right = (np.repeat(np.full((shape[0], 1, 1), s) * [[1.0], [0.0], [1.0]], shape[1], axis=2) for s in share)
+    return CornerWeights(left, right, calibration.noise_px)
 
 
 def _side_m(board: Board) -> float:

@@ -24,12 +24,16 @@ Images = Iterator[tuple[int, str, ndarray]]
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """How to render: Gaussian blur of the lens (sigma, pixels), sensor noise (grey levels), seed, time between a pair's exposures."""
+    """How to render: Gaussian blur of the lens (sigma, pixels), sensor noise (grey levels), seed, time between a pair's exposures.
+
+    ``light`` is what the cameras see of a board: ``visible``, ``colour-thermal`` or ``thermal`` (:mod:`binocal.simulation.setups`).
+    """
 
     blur_px: float = 0.8
     noise_dn: float = 3.0
     seed: int = 0
     gap_s: float = 0.0
+    light: str = "visible"
 
 
 def simulate(
@@ -53,7 +57,7 @@ def simulate(
         DataError: The rig's images are too large to be rendered.
         OutputError: The disk is full, or the folder cannot be written to.
     """
-    from binocal.simulation import RenderOptions, StereoScene, render_pairs, sample_board_poses
+    from binocal.simulation import Setup, StereoScene, render_pairs, sample_board_poses
 
     options = options or SimulateOptions()
     if not board.is_metric:
@@ -62,7 +66,7 @@ def simulate(
     pose_seed, image_seed = np.random.SeedSequence(options.seed).spawn(2)
     T_left_board = sample_board_poses(rig, board, n_pairs, np.random.default_rng(pose_seed))
     truth = rig_json.Truth(rig, board, _names(n_pairs), T_left_board, options.noise_dn, options.blur_px)
-    rendering = RenderOptions(blur_px=options.blur_px, noise_dn=options.noise_dn)
+    rendering = Setup(rig, options.light).with_lens_and_noise(options.blur_px, options.noise_dn)
     shown = StereoScene(rig, board, T_left_board)
     _write(render_pairs(shown, rendering, image_seed, stage_of(progress, "rendering")), truth, output, force)
     return truth

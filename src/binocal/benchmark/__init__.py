@@ -96,6 +96,12 @@ def _rectification(**options: Any) -> dict[str, Any]:
     return run_rectification_benchmark(**options)
 
 
+def _related(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.related import run_related_benchmark
+
+    return run_related_benchmark(**options)
+
+
 def _scale(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.scale import run_scale_benchmark
 
@@ -134,6 +140,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "precision": _precision,
     "real": _real,
     "rectification": _rectification,
+    "related": _related,
     "rig": _rig,
     "scale": _scale,
     "solver": _solver,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.calibrators.opencv import as_lists, camera_by_opencv, rig_by_opencv, usable_corners
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import FormatError
 from binocal.evidence import Detections
@@ -22,7 +23,6 @@ from binocal.shapes import Float
 
 WINDOW = (5, 5)  # of cornerSubPix: half its side
 Views = Sequence[ndarray]
-LEAST_CORNERS = 6  # of a view: fewer hardly determine the board's pose
 
 
 def read_grey(path: Path) -> ndarray:
@@ -110,45 +110,21 @@ def calibrate_rig(detections: Detections, model: str, *, start: StereoRig | None
         ValueError: OpenCV has no such model.
         cv2.error: OpenCV refuses the corners.
     """
-    import cv2
-
     sizes = (detections.left_size_wh, detections.right_size_wh)
-    seen = (detections.left_is_seen, detections.right_is_seen)
-    if model == "fisheye4":
-        solve_mono, solve_stereo = cv2.fisheye.calibrate, cv2.fisheye.stereoCalibrate
-        mono, stereo = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW, cv2.CALIB_FIX_SKEW
-        stereo |= cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_USE_INTRINSIC_GUESS
-    else:
-        kinds = {"brown4": cv2.CALIB_FIX_K3, "brown5": 0, "brown8": cv2.CALIB_RATIONAL_MODEL}
-        if model not in kinds:
-            raise ValueError(f"OpenCV has no camera model {model!r}")
-        solve_mono, solve_stereo = cv2.calibrateCamera, cv2.stereoCalibrate
-        mono, stereo = kinds[model], kinds[model] | cv2.CALIB_USE_INTRINSIC_GUESS
-    cameras: list[ndarray] = []
-    starts: list[tuple[ndarray | None, ndarray | None]] = [(None, None)] * 2
-    if start is not None:
-        mono |= cv2.CALIB_USE_INTRINSIC_GUESS
-        starts = [(camera.K.copy(), camera.distortion.copy()) for camera in (start.left, start.right)]
-    for px, is_seen, size_wh, guess in zip((detections.left_px, detections.right_px), seen, sizes, starts, strict=True):
-        points, (corners,) = _seen_corners(detections.object_points_m, is_seen, px)
-        _, K, coefficients, *_ = solve_mono(points, corners, size_wh, *guess, flags=mono)  # pyright: ignore
-        cameras += [K, coefficients]
-    both = seen[0] & seen[1]
-    points, (left, right) = _seen_corners(detections.object_points_m, both, detections.left_px, detections.right_px)
-    _, K_l, d_l, K_r, d_r, R, t, *_ = solve_stereo(points, left, right, *cameras, sizes[0], flags=stereo)  # pyright: ignore
+    left_seen, right_seen = (usable_corners(seen) for seen in (detections.left_is_seen, detections.right_is_seen))
+    starts = [None, None] if start is None else [(c.K.copy(), c.distortion.copy()) for c in (start.left, start.right)]
+    cameras = []
+    for px, is_seen, size_wh, guess in zip(
+        (detections.left_px, detections.right_px), (left_seen, right_seen), sizes, starts, strict=True
+    ):
+        points, (corners,) = as_lists(detections.object_points_m, is_seen, px)
+        cameras.append(camera_by_opencv(points, corners, size_wh, model, guess))
+    both = usable_corners(left_seen & right_seen)
+    points, corners = as_lists(detections.object_points_m, both, detections.left_px, detections.right_px)
+    cameras, R, t = rig_by_opencv(points, corners, cameras, sizes[0], model, is_free=True)
     n = {"brown4": 4, "brown5": 5, "brown8": 8, "fisheye4": 4}[model]
     left_camera, right_camera = (
-        Camera(model, size, np.r_[K[0, 0], K[1, 1], K[0, 2], K[1, 2], 0.0, np.ravel(d)[:n]])
-        for size, K, d in zip(sizes, (K_l, K_r), (d_l, d_r), strict=True)
+        Camera(model, size, np.r_[K[0, 0], K[1, 1], K[0, 2], K[1, 2], 0.0, d[:n]])
+        for size, (K, d) in zip(sizes, cameras, strict=True)
     )
-    return StereoRig(left_camera, right_camera, SE3(R, np.ravel(t)), detections.is_metric)
-
-
-def _seen_corners(
-    points_m: Float[ndarray, "n 3"], is_seen: ndarray, *px: Float[ndarray, "views n 2"]
-) -> tuple[list[ndarray], list[list[ndarray]]]:
-    """Board points, and corners of each camera, of the views with enough of them."""
-    views = np.nonzero(is_seen.sum(axis=1) >= LEAST_CORNERS)[0]
-    # The fisheye module takes rows (1, n, c) alone; 32 bits, which calibrateCamera insists on, round by less than 1e-4 px.
-    points = [points_m[is_seen[v]][None].astype(np.float32) for v in views]
-    return points, [[side[v][is_seen[v]][None].astype(np.float32) for v in views] for side in px]
+    return StereoRig(left_camera, right_camera, SE3(R, t), detections.is_metric)

@@ -17,7 +17,7 @@ from binocal.cameras import StereoRig
 from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.metrics.image import triangulate
-from binocal.rectification import rectify, rectify_points
+from binocal.rectification import rectify_points, row_rectification
 from binocal.result import StereoCalibration
 from binocal.shapes import Float
 from binocal.simulation import PoseOptions, StereoScene, random_rig, sample_board_poses, simulate_detections
@@ -182,7 +182,7 @@ def _rows(
     pixels: tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2"]],
 ) -> Float[ndarray, "n"]:
     rig = calibration.rig
-    rectified = rectify(rig)
+    rectified = row_rectification(rig)
     left, right = (
         rectify_points(camera, R, P, px)[:, 0 if rectified.is_vertical else 1]
         for camera, R, P, px in (

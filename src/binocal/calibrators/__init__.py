@@ -15,8 +15,17 @@ from binocal.calibrators.base import (
     ProgressCallback,
     ShouldStop,
 )
-from binocal.calibrators.registry import CALIBRATORS, known_calibrators, load_calibrator
+from binocal.calibrators.registry import (
+    CALIBRATORS,
+    evidence_of,
+    known_calibrators,
+    load_calibrator,
+    model_for,
+    refuse_unsuited,
+)
 from binocal.evidence import Detections
+from binocal.evidence.rectangles import RectanglePairs
+from binocal.evidence.zoom_settings import ZoomSettings
 from binocal.result import StereoCalibration
 from binocal.solvers.prior import RigPrior
 
@@ -33,7 +42,7 @@ __all__ = [
 
 
 def calibrate(
-    evidence: Detections,
+    evidence: Detections | RectanglePairs | ZoomSettings,
     *,
     calibrator: str = "drl",
     model: str = "auto",
@@ -49,6 +58,7 @@ def calibrate(
 ) -> StereoCalibration:
     """Both cameras' intrinsics, the transform between them, and their covariance, from corners.
 
+    Evidence of another kind than a board's corners is for the calibrator that works from it (``rectangles``, ``zoom``).
     ``model`` is ``brown4``, ``brown5``, ``brown8``, ``fisheye4``, or ``auto``: the plainest, unless rows and lengths of
     held-out views speak decisively for another. Skew is 0 unless ``skew``. With ``max_views`` only the views that
     determine depth best are used, at most so many; ``provenance["view_choice"]`` says what that costs. ``options`` are the
@@ -79,7 +89,7 @@ def calibrate(
 
 
 def calibrate_as_requested(
-    evidence: Detections,
+    evidence: Detections | RectanglePairs | ZoomSettings,
     request: CalibrationRequest,
     *,
     calibrator: str = "drl",
@@ -91,28 +101,34 @@ def calibrate_as_requested(
     :func:`calibrate`.
     """
     method = load_calibrator(calibrator)
+    if evidence_of(calibrator) == "board" and calibrator in CALIBRATORS and not isinstance(evidence, Detections):
+        raise TypeError(f"calibrator {calibrator!r} works from Detections of a board; got {type(evidence).__name__}")
+    refuse_unsuited(calibrator, request)
+    request = replace(request, model=model_for(calibrator, request.model))
     _check_model(request.model)
     from binocal.calibrators.provenance import with_corner_orders, with_provenance
 
     view_choice: dict[str, Any] = {}
     used = evidence
-    if request.max_views is not None and evidence.n_views > request.max_views:
+    if request.max_views is not None and isinstance(evidence, Detections) and evidence.n_views > request.max_views:
         from binocal.calibrators.view_selection import select_views
 
         selection = select_views(evidence, request, calibrator=calibrator)
         used = evidence.select(selection.views)
         view_choice = {"view_choice": selection.document(request.max_views)}
-    calibration = with_corner_orders(calibrate_named_or_best_model(used, method, request), used)
+    calibration = calibrate_named_or_best_model(used, method, request)
+    if isinstance(used, Detections):
+        calibration = with_corner_orders(calibration, used)
     return with_provenance(calibration, calibrator, request, dict(inputs or {}) | view_choice)
 
 
 def calibrate_named_or_best_model(
-    evidence: Detections, method: Calibrator, request: CalibrationRequest
+    evidence: Detections | RectanglePairs | ZoomSettings, method: Calibrator, request: CalibrationRequest
 ) -> StereoCalibration:
     """What the method makes of all of the evidence, with the model asked for, the prior's, or the best one."""
     if request.model == "auto" and request.prior is not None:
         request = replace(request, model=request.prior.rig.left.model)
-    if request.model == "auto":
+    if request.model == "auto" and isinstance(evidence, Detections):
         from binocal.calibrators.model_selection import calibrate_with_best_model
 
         return calibrate_with_best_model(evidence, method, request)

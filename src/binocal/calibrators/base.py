@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 from binocal.errors import CancelledError
-from binocal.evidence import Detections
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import StereoCalibration
 from binocal.solvers.prior import RigPrior
@@ -94,6 +93,6 @@ class Calibrator(Protocol):
         CancelledError: ``request.should_stop`` said so.
     """
 
-    def __call__(self, evidence: Detections, request: CalibrationRequest) -> StereoCalibration:
-        """The calibration that this evidence determines."""
+    def __call__(self, evidence: Any, request: CalibrationRequest) -> StereoCalibration:
+        """The calibration that this evidence determines; each calibrator works from one kind of it, most from Detections."""
         ...

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,13 +13,14 @@ import typer
 
 from binocal.cli import rectified_verbs as _rectified_verbs  # noqa: F401 - its verbs are the application's too
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, BoardSpec, Force, Json, Left, Right, Seed, Threads, app
+from binocal.cli.options import BOARD_HELP, Force, Json, Seed, Threads, app
 from binocal.cli.options import finite as _finite
 from binocal.cli.options import present as _present
 from binocal.errors import CalibrationError, DataError, FormatError
 
 if TYPE_CHECKING:
-    from binocal.app import CalibrationRun
+    from binocal.app import CalibrationRequest, CalibrationRun
+    from binocal.boards import Board
     from binocal.solvers.prior import RigPrior
 
 
@@ -51,6 +53,7 @@ class Exposures(enum.StrEnum):
 
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
 MODELS = "|".join(Model)
+TURNING, ZOOM = "turning", "zoom"
 
 Needs = Annotated[
     list[str] | None,
@@ -88,9 +91,33 @@ def demo(
 
 @app.command()
 def calibrate(
-    left: Left,
-    right: Right,
-    board: BoardSpec,
+    left: Annotated[
+        str | None, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")
+    ] = None,
+    board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    corners: Annotated[
+        Path | None,
+        typer.Option(
+            "--corners",
+            help="In place of images: corners that --evidence wrote, or rectangles that turning cameras saw.",
+            metavar="CORNERS.NPZ",
+        ),
+    ] = None,
+    zoom: Annotated[
+        Path | None,
+        typer.Option(
+            "--zoom",
+            help="In place of --left and --right: images at several zoom settings, in a CSV file of setting,left,right.",
+            metavar="SETTINGS.CSV",
+        ),
+    ] = None,
+    at: Annotated[
+        float | None,
+        typer.Option("--at", help="The zoom setting of the rig (default: the middle).", metavar="X", callback=_finite),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "rig.json"
     ),
@@ -106,7 +133,8 @@ def calibrate(
         str,
         typer.Option(
             "--calibrator",
-            help="drl, drl-increments, lm, weights that train wrote, or what another package adds.",
+            help="drl, drl-increments, lm, opencv, alternating, absolute-orientation, heterogeneous, wide-field, rectangles, "
+            "zoom, weights that train wrote, or what another package adds.",
             metavar="NAME",
         ),
     ] = "drl",
@@ -188,8 +216,9 @@ def calibrate(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Calibrate a stereo rig from images of a board."""
+    """Calibrate a stereo rig from images of a board, or from corners in a file."""
     from binocal import app as verbs
+    from binocal.calibrators.registry import evidence_of, unsuited
     from binocal.cli import documents, tables
     from binocal.cli.checks import checks_document, show_checks
     from binocal.cli.progress import progress_on_terminal
@@ -197,33 +226,51 @@ def calibrate(
     from binocal.formats.opencv_yaml import check_opencv_output
     from binocal.output import check_output
 
-    parsed = _parse_board(board)
-    needs = _parse_needs(require, is_metric=parsed.is_metric)
+    parsed = _parse_source((left, right), board, corners, zoom)
+    needs = _parse_needs(require, is_metric=None if parsed is None else parsed.is_metric)
     _check_calibrator(calibrator)
+    kind = evidence_of(calibrator)
+    if kind == "rectangles" and corners is None:
+        raise typer.BadParameter(f"calibrator {calibrator!r} works from rectangles in a file: give --corners FILE.")
+    if (kind == "zoom") != (zoom is not None):
+        raise typer.BadParameter("--calibrator zoom and --zoom SETTINGS.CSV belong together.")
+    if at is not None and zoom is None:
+        raise typer.BadParameter("--at is a setting of --zoom.")
+    if board_file is not None and zoom is not None:
+        raise typer.BadParameter("--board-file does not go with --zoom.")
+    if corners is not None and (preprocess or board_file is not None):
+        raise typer.BadParameter("--preprocess and --board-file belong to images; leave them out, or --corners.")
+    if evidence is not None and kind != "board":
+        raise typer.BadParameter("--evidence keeps corners of a board; leave it out.")
     if opencv is not None and skew:
         raise typer.BadParameter("OpenCV's functions ignore skew; leave out --skew or --opencv.")
     outputs = {"--output": [output], "--evidence": [] if evidence is None else [evidence]}
     for path in (output, *outputs["--evidence"]):
         check_output(path, force=force)
-        _refuse_input_as_output(path, left, right)
+        _refuse_input_as_output(path, *(str(source) for source in (left, right, corners, zoom) if source is not None))
     outputs["--opencv"] = [] if opencv is None else check_opencv_output(opencv, force=force)
     _check_distinct(outputs)
     known = _read_prior(prior, hold, model.value)
     measured_board = None if board_file is None else read_measured_board(board_file)
+    request = verbs.CalibrationRequest(
+        model.value, skew, seed, max_views, prior=known, board_shape=board_shape.value, exposure=exposure.value
+    )
+    if why := unsuited(calibrator, request):
+        raise typer.BadParameter(f"{why}.")
     with progress_on_terminal() as progress:
-        request = verbs.CalibrationRequest(
-            model.value,
-            skew,
-            seed,
-            max_views,
-            progress=progress,
-            prior=known,
-            board_shape=board_shape.value,
-            exposure=exposure.value,
-        )
-        run = verbs.calibrate_images(
-            left, right, parsed, request, calibrator=calibrator, preprocess=preprocess, measured_board=measured_board
-        )
+        request = replace(request, progress=progress)
+        if corners is not None or parsed is None:
+            assert corners is not None  # there is no other source without a board
+            run = verbs.calibrate_corners(corners, request, calibrator=calibrator)
+        elif zoom is not None:
+            run = _calibrate_zoom(zoom, parsed, request, at, preprocess)
+        else:
+            run = verbs.calibrate_images(
+                *(str(left), str(right), parsed, request),
+                calibrator=calibrator,
+                preprocess=preprocess,
+                measured_board=measured_board,
+            )
         run = verbs.with_checks(run, request) if checks else run
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
     _write_calibration(run, output, evidence, opencv, force)
@@ -253,7 +300,13 @@ def simulate(
     pairs: Annotated[int, typer.Option("--pairs", help="Number of image pairs.", metavar="N", min=1, max=1_000_000)],
     output: Annotated[Path, typer.Option("--output", help="Folder for the images and truth.json.", metavar="DIR")],
     rig: Annotated[
-        str, typer.Option("--rig", help="table2 (the paper's rig), a rig.json, or OpenCV's file.", metavar="NAME")
+        str,
+        typer.Option(
+            "--rig",
+            help="table2 (the paper's rig), colour-thermal, thermal-180, thermal-210, a rig.json, OpenCV's file; zoom: N pairs at "
+            "each of 13 settings; turning: cameras that turn before a rectangle, without --board.",
+            metavar="NAME",
+        ),
     ] = "table2",
     blur: Annotated[
         float,
@@ -298,6 +351,10 @@ def simulate(
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
 
+    if rig == ZOOM:
+        return _simulate_zoom(pairs, output, (board, scene), (blur, noise, seed), force, json)
+    if rig == TURNING:
+        return _simulate_turning(pairs, output, (board, scene), seed, force, json)
     if (board is None) == (scene is None):
         raise typer.BadParameter("give either --board SPEC or --scene street|room.")
     if gap and scene is None:
@@ -308,21 +365,64 @@ def simulate(
     if scene is not None:
         _one_of("--scene", scene, ("street", "room"))
     check_output_folder(output, force=force)
-    options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap)
-    if rig == "table2":
-        from binocal.simulation import table2_rig
+    from binocal.formats.rig_file import load_rig
+    from binocal.simulation import SETUPS, Setup
 
-        true_rig = table2_rig()
-    else:
-        from binocal.formats.rig_file import load_rig
-
-        true_rig = load_rig(rig)
+    setup = SETUPS[rig]() if rig in SETUPS else Setup(load_rig(rig))
+    options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap, setup.light)
     with progress_on_terminal() as progress:
         if parsed is not None:
-            truth = verbs.simulate(true_rig, parsed, pairs, output, options, force=force, progress=progress)
+            truth = verbs.simulate(setup.rig, parsed, pairs, output, options, force=force, progress=progress)
         else:
-            truth = verbs.simulate_scene(true_rig, str(scene), pairs, output, options, force=force, progress=progress)
+            truth = verbs.simulate_scene(setup.rig, str(scene), pairs, output, options, force=force, progress=progress)
     text = f"{len(truth.names)} pairs and truth.json in {output}"
+    _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
+    return FINE
+
+
+def _simulate_zoom(
+    pairs: int,
+    output: Path,
+    shown: tuple[str | None, str | None],
+    look: tuple[float, float, int],
+    force: bool,
+    json: bool,
+) -> int:
+    """A pair with zoom lenses at several settings."""
+    from binocal import app as verbs
+    from binocal.cli.progress import progress_on_terminal
+    from binocal.output import check_output_folder
+
+    board, scene = shown
+    if board is None or scene is not None:
+        raise typer.BadParameter(f"--rig {ZOOM} shows a board: give --board SPEC, and no --scene.")
+    parsed = _parse_board(board)
+    if not parsed.is_metric:
+        raise typer.BadParameter("a simulated board needs its size: give the length a unit, such as 20mm.")
+    check_output_folder(output, force=force)
+    with progress_on_terminal() as progress:
+        options = verbs.SimulateOptions(*look)
+        settings = verbs.simulate_zoom(parsed, pairs, output, options, force=force, progress=progress)
+    text = f"{pairs} pairs at each of {len(settings)} zoom settings and settings.csv in {output}"
+    _present({"settings": list(settings), "pairs": pairs, "output": str(output)}, text, json)
+    return FINE
+
+
+def _simulate_turning(
+    pairs: int, output: Path, shown: tuple[str | None, str | None], seed: int, force: bool, json: bool
+) -> int:
+    """Cameras that turn before a rectangle."""
+    from binocal import app as verbs
+    from binocal.formats import rig_json
+    from binocal.output import check_output_folder
+
+    if shown != (None, None):
+        raise typer.BadParameter(f"--rig {TURNING} shows a rectangle; leave out --board and --scene.")
+    check_output_folder(output, force=force)
+    truth = verbs.simulate_turning_cameras(pairs, output, seed=seed, force=force)
+    text = (
+        f"corners.npz of {len(truth.names)} pairs, rig.json from before the cameras turned, and truth.json in {output}"
+    )
     _present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
     return FINE
 
@@ -769,7 +869,7 @@ def _write_calibration(
     from binocal.output import write_together
 
     contents: dict[str | Path, Any] = {}
-    if evidence is not None:
+    if evidence is not None and run.detections is not None:
         contents[evidence] = detections_content(run.detections, run.calibration.board_shape)
     refusal = None
     try:
@@ -780,6 +880,38 @@ def _write_calibration(
     write_together(contents, force=force)
     if refusal is not None:
         raise refusal
+
+
+def _calibrate_zoom(
+    zoom: Path, board: Board, request: CalibrationRequest, at: float | None, preprocess: bool
+) -> CalibrationRun:
+    from binocal import app as verbs
+
+    try:
+        return verbs.calibrate_zoom_images(zoom, board, request, setting=at, preprocess=preprocess)
+    except ValueError as error:
+        raise typer.BadParameter(f"--at: {error}.") from None
+
+
+def _parse_source(
+    images: tuple[str | None, str | None], board: str | None, corners: Path | None, zoom: Path | None
+) -> Board | None:
+    """The board of the images; None where the corners are in a file."""
+    left, right = images
+    if zoom is not None:
+        if (left, right, corners) != (None, None, None) or board is None:
+            raise typer.BadParameter("--zoom SETTINGS.CSV goes with --board alone: the file names the images.")
+        return _parse_board(board)
+    if corners is None:
+        for name, given in (("--left", left), ("--right", right), ("--board", board)):
+            if given is None:
+                raise typer.BadParameter(
+                    f"missing option {name!r}: give --left, --right and --board, or --corners FILE."
+                )
+        return _parse_board(str(board))
+    if (left, right, board) != (None, None, None):
+        raise typer.BadParameter("give either --left, --right and --board, or --corners FILE.")
+    return None
 
 
 def _refuse_input_as_output(path: Path, *sources: str) -> None:

@@ -38,10 +38,12 @@ from binocal.simulation.scenes import (
     sample_board_poses,
     sample_scene,
 )
+from binocal.simulation.setups import SETUPS, Setup
 from binocal.simulation.textured_scenes import TEXTURED_SCENES, TexturedScene, draw_textured_scene
 from binocal.simulation.visibility import visible_px
 
 __all__ = [
+    "SETUPS",
     "TEXTURED_SCENES",
     "WRONG_KINDS",
     "MatchDistribution",
@@ -50,6 +52,7 @@ __all__ = [
     "RenderOptions",
     "RenderedImage",
     "SceneOptions",
+    "Setup",
     "SimulatedMatches",
     "StereoScene",
     "TexturedScene",

@@ -22,17 +22,21 @@ RenderOne = Callable[[int, int, np.random.Generator], UInt[ndarray, "h w"]]
 
 def render_pairs(
     scene: StereoScene,
-    options: RenderOptions,
+    options: RenderOptions | tuple[RenderOptions, RenderOptions],
     seed: np.random.SeedSequence,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[int, str, UInt[ndarray, "h w"]]]:
-    """(view, ``left`` or ``right``, image) of every view of a board, in the order in which they get done."""
+    """(view, ``left`` or ``right``, image) of every view of a board, in the order in which they get done.
+
+    Two options are those of the left and of the right camera.
+    """
+    looks = options if isinstance(options, tuple) else (options, options)
     rig, T_left_board = scene.rig, scene.T_left_board
     sides = ((rig.left, T_left_board), (rig.right, rig.T_right_left @ T_left_board))
 
     def render(view: int, side: int, rng: np.random.Generator) -> UInt[ndarray, "h w"]:
         camera, T_camera_board = sides[side]
-        return render_image(camera, T_camera_board[view], scene.board, options, rng).image
+        return render_image(camera, T_camera_board[view], scene.board, looks[side], rng).image
 
     return _render_all(render, len(T_left_board.t), seed, progress)
 

@@ -69,7 +69,7 @@ def agreement_of_views(
     if k == 0 or n_views < 3:
         return ViewAgreement(1.0, np.inf, np.eye(k))
     excess, excess_sigma = excess_of_scores(reduced, noise_px)
-    weight = float(np.clip(((excess - 1) / excess_sigma - NULL_SIGMAS) / (SURE_SIGMAS - NULL_SIGMAS), 0, 1))
+    weight = say_of_views(excess, excess_sigma)
     if weight == 0:
         return ViewAgreement(excess, excess_sigma, np.eye(k))
     shifts = shifts_without(reduced, system())[reduced.is_determined]
@@ -77,13 +77,24 @@ def agreement_of_views(
         return ViewAgreement(excess, excess_sigma, np.eye(k))
     shifts = np.linalg.solve(L, (shifts - shifts.mean(axis=0)).T)
     W = (n_views - 1) / n_views * (shifts @ shifts.T) + _of_prior(reduced, noise_px, L)
+    return ViewAgreement(excess, excess_sigma, widening(W, n_views, weight))
+
+
+def say_of_views(excess: float, excess_sigma: float) -> float:
+    """How far the views are believed, from 0 to 1, by the ratio of their scores' variance to that of independent noise."""
+    return float(np.clip(((excess - 1) / excess_sigma - NULL_SIGMAS) / (SURE_SIGMAS - NULL_SIGMAS), 0, 1))
+
+
+def widening(W: Float[ndarray, "k k"], n_views: int, weight: float) -> Float[ndarray, "k k"]:
+    """A jackknife's covariance ``W`` in units of that of independent noise, shrunk to a multiple of it, never below it."""
+    k = len(W)
     common = float(np.trace(W)) / k
     W = (POOLED_VIEWS * common * np.eye(k) + (n_views - 1) * W) / (POOLED_VIEWS + n_views - 1)
     if n_views < FEW_VIEWS:
         W = W * student_factor(n_views - 1) ** 2
     values, vectors = np.linalg.eigh(W)
     wide = 1 + weight * (np.maximum(values, 1) - 1)
-    return ViewAgreement(excess, excess_sigma, (vectors * wide) @ vectors.T)
+    return (vectors * wide) @ vectors.T
 
 
 def excess_of_scores(reduced: ReducedSystem, noise_px: float) -> tuple[float, float]:
