@@ -142,6 +142,25 @@ class BoardPlaces:
     pitch: float = 0.0
 
 
+FULL_SCALES_DN = tuple(
+    sorted({(2**bits - 1) << shift for bits in (8, 10, 12, 14) for shift in (0, 16 - bits)} | {2**16 - 1})
+)
+"""What the greatest value of a 16-bit image may be that is clipped: sensors of 8 to 16 bits, at either end of the word."""
+
+
+def range_of(grey: ndarray) -> tuple[float, float]:
+    """The ends of an image's range, infinite where nothing clips: of 8 bits 0 and 255.
+
+    Of 16 bits 0 and the image's greatest value, where that is a sensor's full scale. Of floats none is known.
+    """
+    if grey.dtype == np.uint8:
+        return 0.0, 255.0
+    if grey.dtype == np.uint16 and grey.size:
+        most = int(grey.max())
+        return 0.0, float(most) if most in FULL_SCALES_DN else math.inf
+    return -math.inf, math.inf
+
+
 def fit_corners(
     grey: ndarray,
     points_px: Float[ndarray, "n 2"],
@@ -165,7 +184,8 @@ def fit_corners(
     inputs["point_px"], inputs["reach_px"], inputs["strip_px"] = points_px, reach_px, strip_px
     records = np.empty(len(inputs), CORNER_FIT)
     xy, pitch = (None, 0.0) if board is None else (board.xy, float(board.pitch))
-    _kernel.fit_corners(np.ascontiguousarray(grey), _numbers(inputs), as_floats(xy), pitch, _numbers(records))
+    bottom, top = range_of(grey)
+    _kernel.fit_corners(np.ascontiguousarray(grey), bottom, top, _numbers(inputs), as_floats(xy), pitch, _numbers(records))
     return CornerFits(records)
 
 

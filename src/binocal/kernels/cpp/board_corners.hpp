@@ -122,8 +122,7 @@ struct BoardPlaces {
 // A corner whose first disc, by the reach that the caller knew, held one of the bent lines beside it: again from where the others'
 // lens sees it, with the reach by that lens. A corner that failed for anything else stays as it is.
 template <typename Pixel>
-CornerResult fit_off_lines(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, CornerInput input,
-                           const CornerResult& nowhere, const ImageLens& lens, const double (&at)[2], double pitch,
+CornerResult fit_off_lines(const ImageView<Pixel>& image, CornerInput input, const CornerResult& nowhere, const ImageLens& lens, const double (&at)[2], double pitch,
                            bool looks_at_noise, Workspace& work) {
     const double start[2] = {input.x, input.y};
     if (!lens.project(lens.direction(at[0], at[1]), 6, input.x, input.y)) return nowhere;
@@ -131,13 +130,12 @@ CornerResult fit_off_lines(const Pixel* image, std::ptrdiff_t height, std::ptrdi
     const double reach = reach_by_lens(lens, at[0], at[1], pitch, input.x, input.y);
     if (!(kDiscShare * input.reach > kTouching * reach)) return nowhere;
     input.reach = reach;
-    return CornerFitter<Pixel>(image, height, width, input, work, looks_at_noise).fit();
+    return CornerFitter<Pixel>(image, input, work, looks_at_noise).fit();
 }
 
 template <typename Pixel>
-void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput* inputs, std::ptrdiff_t n,
-                       const BoardPlaces& board, CornerResult* results) {
-    fit_corners(image, height, width, inputs, n, results);
+void fit_board_corners(const ImageView<Pixel>& image, const CornerInput* inputs, std::ptrdiff_t n, const BoardPlaces& board, CornerResult* results) {
+    fit_corners(image, inputs, n, results);
     std::vector<LensPoint> points;
     double extent = 0;
     for (std::ptrdiff_t i = 0; i < n; ++i) {
@@ -148,7 +146,7 @@ void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t
     if (points.size() < kMinCornersForLens || !(extent > 0) || !std::isfinite(extent)) return;
     LensOptions options;
     options.n_unknowns = points.size() < kMinCornersForAll ? 1 : 6;
-    ImageLensFit fitted(points, static_cast<double>(width), static_cast<double>(height), options);
+    ImageLensFit fitted(points, static_cast<double>(image.width), static_cast<double>(image.height), options);
     if (!fitted.fit()) return;
     std::vector<double> lengths = fitted.lengths();
     std::nth_element(lengths.begin(), lengths.begin() + lengths.size() / 2, lengths.end());
@@ -175,7 +173,7 @@ void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t
     const std::ptrdiff_t every = (n + kCornersForNoise - 1) / kCornersForNoise;
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         if (is_straight || !(board.pitch > 0) || std::isfinite(results[i].x)) continue;
-        results[i] = fit_off_lines<Pixel>(image, height, width, inputs[i], results[i], lens, {board.xy[2 * i], board.xy[2 * i + 1]},
+        results[i] = fit_off_lines<Pixel>(image, inputs[i], results[i], lens, {board.xy[2 * i], board.xy[2 * i + 1]},
                                           board.pitch, is_picked(i, every), work);
         bend_at(i);
     }
@@ -192,7 +190,7 @@ void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t
             double bend[2];
             attach(results[i], bends[i], bend);
             input.x = results[i].x, input.y = results[i].y;
-            const CornerResult again = CornerFitter<Pixel>(image, height, width, input, work, is_picked(i, every)).fit_bent(results[i], bend);
+            const CornerResult again = CornerFitter<Pixel>(image, input, work, is_picked(i, every)).fit_bent(results[i], bend);
             if (std::isfinite(again.x)) {
                 results[i] = again;
                 continue;

@@ -11,19 +11,20 @@ template <typename Pixel>
 using Image = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
 
 template <typename Pixel>
-void fit(const Image<Pixel>& image, const Doubles& inputs, const Doubles& board_xy, double pitch, DoublesOut results) {
+void fit(const Image<Pixel>& image, double bottom, double top, const Doubles& inputs, const Doubles& board_xy, double pitch,
+         DoublesOut results) {
     const std::size_t n = inputs.size() / kInputSize;
     if (inputs.size() != kInputSize * n || results.size() != kResultSize * n)
         throw nb::value_error("inputs must be (n, 4) and results (n, 25)");
     require(board_xy.size() == 0 || board_xy.size() == 2 * n, "board_xy must be (n, 2) or empty");
-    const Pixel* pixels = image.data();
-    const auto height = static_cast<std::ptrdiff_t>(image.shape(0)), width = static_cast<std::ptrdiff_t>(image.shape(1));
+    const ImageView<Pixel> view{image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
+                                bottom, top};
     nb::gil_scoped_release unlocked;
     const auto* starts = reinterpret_cast<const CornerInput*>(inputs.data());
     auto* fits = reinterpret_cast<CornerResult*>(results.data());
     const auto n_corners = static_cast<std::ptrdiff_t>(n);
-    if (board_xy.size() == 0) return fit_corners(pixels, height, width, starts, n_corners, fits);
-    fit_board_corners(pixels, height, width, starts, n_corners, BoardPlaces{board_xy.data(), pitch}, fits);
+    if (board_xy.size() == 0) return fit_corners(view, starts, n_corners, fits);
+    fit_board_corners(view, starts, n_corners, BoardPlaces{board_xy.data(), pitch}, fits);
 }
 
 double pool(const Doubles& fits, DoublesOut pooled) {

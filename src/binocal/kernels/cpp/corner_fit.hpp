@@ -86,6 +86,7 @@ struct alignas(32) Patch {
     float u[kMaxPixels], v[kMaxPixels];  // whole pixels from `column`, `row`
     float value[kMaxPixels];             // in units of the start's contrast
     int column, row;
+    bool is_clipped;  // holds values at the bottom or the top of the range
     int n_vectors;
     int n_rows;
     struct {
@@ -99,9 +100,20 @@ struct Region {
     double bend[2] = {0, 0};  // 1/px: the edges' curvatures, towards their normals
 };
 
+// The ends of the range, and the standard deviation of the noise before it is clipped there; in the patch's unit.
+struct Clipping {
+    double bottom, top, noise;
+};
+constexpr float kClear = 0.98f;             // of what a grey value tells: pixels of less are near an end of the range, their noise clipped
+constexpr double kFirstNoise = 0.05;        // of the start's contrast
+constexpr double kLeastNoise_dn = 0.29;     // that of rounding
+constexpr double kNoiseSteps = 1.3;         // the noise is taken anew where it has changed by more than this factor
+
 struct Equations {
     double gram[kColumns][kColumns];
-    double weight_sum;
+    double weight_sum;   // of the pixels whose noise is not clipped
+    double mean_square;  // of all residuals: what is minimised
+    double noise2;       // mean square of the residuals that are not clipped
 };
 
 constexpr int kNear = 2;                  // px: noise further apart counts as independent
@@ -114,12 +126,21 @@ struct Workspace {
     alignas(32) float columns[kColumns][kMaxPixels];
     alignas(32) float weights[kMaxPixels];
     alignas(32) float moves[2][kMaxPixels];
+    double disc, squares_of_clear;  // sums of all weights, and of the squares of the residuals that are not clipped, of a clipped patch
+};
+
+// An image of (height, width) and the ends of its range: values there may be clipped.
+template <typename Pixel>
+struct ImageView {
+    const Pixel* pixels;
+    std::ptrdiff_t height, width;
+    double bottom, top;  // infinite where nothing clips
 };
 
 constexpr double kSlack = 0.3;  // px: pixels are gathered again when the corner has moved farther
 
 template <typename Pixel>
-void gather(const Pixel* image, std::ptrdiff_t width, double x, double y, double radius, double scale, Patch& patch) {
+void gather(const ImageView<Pixel>& image, double x, double y, double radius, double scale, Patch& patch) {
     patch.x = x;
     patch.y = y;
     patch.radius = radius;
@@ -132,7 +153,7 @@ void gather(const Pixel* image, std::ptrdiff_t width, double x, double y, double
     for (int row = static_cast<int>(std::ceil(y - limit)); row <= y + limit; ++row) {
         double half = std::sqrt(std::max(0.0, limit * limit - (row - y) * (row - y)));
         int first = static_cast<int>(std::ceil(x - half)), last = static_cast<int>(std::floor(x + half));
-        const Pixel* line = image + row * width;
+        const Pixel* line = image.pixels + row * image.width;
         float v = static_cast<float>(row - patch.row);
         patch.rows[patch.n_rows++] = {first - patch.column, row - patch.row, n, last - first + 1};
         for (int column = first; column <= last; ++column, ++n) {
@@ -141,6 +162,8 @@ void gather(const Pixel* image, std::ptrdiff_t width, double x, double y, double
             patch.value[n] = static_cast<float>(line[column]) * gain;
         }
     }
+    const auto [least, most] = std::minmax_element(patch.value, patch.value + n);
+    patch.is_clipped = *most > (image.top - 0.5) * scale || *least < (image.bottom + 0.5) * scale;
     while (n % kLanes) {
         patch.u[n] = patch.v[n] = 1000.0f;  // outside every disc
         patch.value[n] = 0.0f;
@@ -161,11 +184,11 @@ namespace avx2 {
 #pragma GCC pop_options
 #endif
 
-inline void linearize(Workspace& work, const double* p, const Region& region) {
+inline void linearize(Workspace& work, const double* p, const Region& region, const Clipping& clipping) {
 #if defined(BINOCAL_AVX2)
-    if (has_avx2()) return avx2::linearize(work, p, region);
+    if (has_avx2()) return avx2::linearize(work, p, region, clipping);
 #endif
-    portable::linearize(work, p, region);
+    portable::linearize(work, p, region, clipping);
 }
 
 inline void multiply(const Workspace& work, Equations& out) {
@@ -200,14 +223,14 @@ inline void solve(const double (&L)[kParameters][kParameters], const double* b, 
 }
 
 // The information matrix, with weak priors on what small windows cannot tell: the two blurs' difference and the tone.
-inline void information(const Equations& e, const double* p, double noise2, double (&A)[kParameters][kParameters],
+inline void information(const Equations& e, const double* p, double noise2, bool is_clipped, double (&A)[kParameters][kParameters],
                         double* gradient) {
-    constexpr double kBlurSpread = 0.3, kToneSpread = 0.15;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
+    constexpr double kBlurSpread = 0.3, kToneSpread = 0.15, kClippedToneSpread = 0.05;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
     for (int i = 0; i < kParameters; ++i) {
         for (int j = 0; j < kParameters; ++j) A[i][j] = e.gram[i][j];
         gradient[i] = e.gram[i][kParameters];
     }
-    double blur = noise2 / (kBlurSpread * kBlurSpread), tone = noise2 / (kToneSpread * kToneSpread);
+    double blur = noise2 / (kBlurSpread * kBlurSpread), spread = is_clipped ? kClippedToneSpread : kToneSpread, tone = noise2 / (spread * spread);
     double difference = p[kBlur1] - p[kBlur2];
     A[kBlur1][kBlur1] += blur;
     A[kBlur2][kBlur2] += blur;
@@ -229,7 +252,7 @@ inline void subtract(Workspace& work, const double* step) {
 
 // Where edges, levels and contrast begin, read on two rings around the corner; false where there is no saddle.
 template <typename Pixel>
-bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double radius, double* p, double& offset,
+bool start(const ImageView<Pixel>& image, double x, double y, double radius, double* p, double& offset,
            double& contrast) {
     constexpr int n = 32;  // over half a turn: opposite samples are averaged
     constexpr double pi = 3.14159265358979;
@@ -245,8 +268,8 @@ bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double 
             double px = x + r * c, py = y + r * s;  // positive: the ring lies inside the image
             int column = static_cast<int>(px), row = static_cast<int>(py);
             double a = px - column, b = py - row;
-            const Pixel* at = image + row * width + column;
-            sum += (1 - b) * ((1 - a) * at[0] + a * at[1]) + b * ((1 - a) * at[width] + a * at[width + 1]);
+            const Pixel* at = image.pixels + row * image.width + column;
+            sum += (1 - b) * ((1 - a) * at[0] + a * at[1]) + b * ((1 - a) * at[image.width] + a * at[image.width + 1]);
         }
         ring[k] = sum / 4;
     }
@@ -344,9 +367,8 @@ static_assert(sizeof(CornerInput) == kInputSize * sizeof(double));
 template <typename Pixel>
 class CornerFitter {
   public:
-    CornerFitter(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput& input, Workspace& work,
-                 bool looks_at_noise)
-        : image_(image), height_(height), width_(width), input_(input), work_(work), looks_at_noise_(looks_at_noise),
+    CornerFitter(const ImageView<Pixel>& image, const CornerInput& input, Workspace& work, bool looks_at_noise)
+        : image_(image), input_(input), work_(work), looks_at_noise_(looks_at_noise),
           is_large_(kDiscShare * input.reach > 1.4 * kFirstRadius),
           greatest_(is_large_ ? kFirstRadius : kMaxRadius),  // a small disc until the corner is nearly there costs half or less
           farthest_(std::max(1.5, 0.5 * input.reach)) {}
@@ -388,7 +410,9 @@ class CornerFitter {
     };
 
     // How far the disc may reach from there so that it and its soft edge stay inside the image, px.
-    double margin(double x, double y) const { return std::min(std::min(x, width_ - 1 - x), std::min(y, height_ - 1 - y)) - 1.9; }
+    double margin(double x, double y) const {
+        return std::min(std::min(x, image_.width - 1 - x), std::min(y, image_.height - 1 - y)) - 1.9;
+    }
 
     Region region_of(double x, double y, double blur) const {
         double radius = std::min({greatest_, kDiscShare * input_.reach, input_.reach - 2 * blur});
@@ -404,7 +428,7 @@ class CornerFitter {
         if (!(region_.radius >= kMinRadius)) return false;
         double offset = 0;
         const double ring = std::min(region_.radius, std::max(kMinRadius, 1.8 * input_.strip));
-        if (!start(image_, width_, input_.x, input_.y, ring, p_, offset, contrast_)) return false;
+        if (!start(image_, input_.x, input_.y, ring, p_, offset, contrast_)) return false;
         if (first) {
             p_[kAngle1] = first->angle1, p_[kAngle2] = first->angle2;
             p_[kBlur1] = std::log(first->blur1), p_[kBlur2] = std::log(first->blur2);
@@ -412,6 +436,7 @@ class CornerFitter {
             p_[kSlopeX] = first->gx, p_[kSlopeY] = first->gy;
         }
         work_.patch.radius = 0;  // holds another corner
+        clipping_ = Clipping{image_.bottom / contrast_, image_.top / contrast_, kFirstNoise};
         cost_ = evaluate(p_, current_);
         n_evaluations_ = 1;
         return true;
@@ -421,10 +446,13 @@ class CornerFitter {
     BINOCAL_INLINE double evaluate(const double* at, Equations& equations) {
         const Patch& patch = work_.patch;
         if (patch.radius != region_.radius || std::hypot(at[kX] - patch.x, at[kY] - patch.y) > kSlack)
-            gather(image_, width_, at[kX], at[kY], region_.radius, 1 / contrast_, work_.patch);
-        linearize(work_, at, region_);
+            gather(image_, at[kX], at[kY], region_.radius, 1 / contrast_, work_.patch);
+        linearize(work_, at, region_, clipping_);
         multiply(work_, equations);
-        return equations.gram[kParameters][kParameters] / std::max(equations.weight_sum, 1e-9);
+        const double squares = equations.gram[kParameters][kParameters];
+        equations.mean_square = squares / std::max(patch.is_clipped ? work_.disc : equations.weight_sum, 1e-9);
+        equations.noise2 = patch.is_clipped ? work_.squares_of_clear / std::max(equations.weight_sum, 1e-9) : equations.mean_square;
+        return equations.mean_square;
     }
 
     BINOCAL_INLINE Progress iterate() {
@@ -449,7 +477,7 @@ class CornerFitter {
     // The damped step, shortened where it would be wild; false where its equations are singular.
     BINOCAL_INLINE bool propose(Step& step) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters];
-        information(current_, p_, cost_, A, gradient);
+        information(current_, p_, current_.noise2, work_.patch.is_clipped, A, gradient);
         for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping_;
         if (!factorize(A, L)) return false;
         double* change = step.change;
@@ -483,7 +511,7 @@ class CornerFitter {
     // So short that nothing would be seen by evaluating it.
     bool is_short(const Step& step) const {
         return step.moved < kLastStepUnseen || (step.moved < kLastStepAtMost && step.moved < kLastStepShrinks * last_moved_ &&
-                                                step.decrement < kLastStepOfSigma * kLastStepOfSigma * cost_);
+                                                step.decrement < kLastStepOfSigma * kLastStepOfSigma * current_.noise2);
     }
 
     // The last step, its residuals as the Jacobian predicts them.
@@ -491,7 +519,7 @@ class CornerFitter {
         for (int i = 0; i < kParameters; ++i) step.change[i] = step.next[i] - p_[i];
         subtract(work_, step.change);
         std::copy(step.next, step.next + kParameters, p_);
-        cost_ = std::max(cost_ - step.decrement / current_.weight_sum, 0.0);
+        current_.noise2 = std::max(current_.noise2 - step.decrement / current_.weight_sum, 0.0);
     }
 
     Progress damp(double least, double most) {
@@ -505,7 +533,19 @@ class CornerFitter {
         std::copy(step.next, step.next + kParameters, p_);
         current_ = trial_;
         cost_ = cost;
+        if (work_.patch.is_clipped) follow_noise();
         damping_ = std::max(damping_ * 0.1, 1e-6);
+    }
+
+    // The noise that is clipped is that of the pixels where it is not.
+    void follow_noise() {
+        const double left = std::max(current_.weight_sum - kParameters, 0.25 * current_.weight_sum);
+        const double found = std::sqrt(current_.noise2 * current_.weight_sum / std::max(left, 1.0));
+        const double noise = std::max(std::min(found, 2 * kFirstNoise), kLeastNoise_dn / contrast_);
+        if (n_evaluations_ >= 10 || std::fabs(std::log(noise / clipping_.noise)) < std::log(kNoiseSteps)) return;
+        clipping_.noise = noise;
+        cost_ = evaluate(p_, current_);
+        ++n_evaluations_;
     }
 
     // The disc follows the blur that is found, then stays; false where the image leaves no place for one.
@@ -532,7 +572,7 @@ class CornerFitter {
     // What is written of the fit; false where its information is singular.
     bool describe(CornerResult& r) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
-        information(current_, p_, cost_, A, gradient);
+        information(current_, p_, current_.noise2, work_.patch.is_clipped, A, gradient);
         if (!factorize(A, L)) return false;
         constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
         for (int i = 0; i < 4; ++i) {
@@ -545,7 +585,7 @@ class CornerFitter {
         r.gx = p_[kSlopeX], r.gy = p_[kSlopeY];
         for (int i = 0, k = 0; i < 4; ++i)
             for (int j = i; j < 4; ++j) r.covariance[k++] = inverse[i][shown[j]] / unit;
-        r.variance = cost_ * current_.weight_sum / std::max(1.0, current_.weight_sum - kParameters) * unit;
+        r.variance = current_.noise2 * current_.weight_sum / std::max(1.0, current_.weight_sum - kParameters) * unit;
         r.odd_variance = odd_variance(work_, p_, r.variance / unit) * unit;
         r.long_variance = looks_at_noise_ ? long_variance(work_, inverse, p_, region_.radius) * unit
                                           : std::numeric_limits<double>::quiet_NaN();
@@ -558,8 +598,7 @@ class CornerFitter {
         return true;
     }
 
-    const Pixel* image_;
-    std::ptrdiff_t height_, width_;
+    const ImageView<Pixel>& image_;
     CornerInput input_;
     Workspace& work_;
     bool looks_at_noise_;  // whether its neighbouring pixels' noise is alike
@@ -567,6 +606,7 @@ class CornerFitter {
     double greatest_;   // px, of the disc's radius
     double farthest_;   // px, from the start
     Region region_{};
+    Clipping clipping_{};
     double p_[kParameters]{};
     double contrast_ = 0;  // of the start, grey levels: the unit of values and costs
     Equations current_, trial_;
@@ -582,12 +622,11 @@ inline bool is_picked(std::ptrdiff_t i, std::ptrdiff_t every) {
 }
 
 template <typename Pixel>
-void fit_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput* inputs, std::ptrdiff_t n,
-                 CornerResult* results) {
+void fit_corners(const ImageView<Pixel>& image, const CornerInput* inputs, std::ptrdiff_t n, CornerResult* results) {
     alignas(32) static thread_local Workspace work;
     const std::ptrdiff_t every = (n + kCornersForNoise - 1) / kCornersForNoise;
     for (std::ptrdiff_t i = 0; i < n; ++i) {
-        results[i] = CornerFitter<Pixel>(image, height, width, inputs[i], work, is_picked(i, every)).fit();
+        results[i] = CornerFitter<Pixel>(image, inputs[i], work, is_picked(i, every)).fit();
     }
 }
 
