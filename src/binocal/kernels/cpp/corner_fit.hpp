@@ -39,12 +39,13 @@ constexpr double kFirstRadius = 7;
 constexpr double kDiscShare = 0.85;  // of the reach, of the disc's radius
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
-constexpr int kMaxEvaluations = 25;
+constexpr int kMaxEvaluations = 25, kMaxClippedEvaluations = 40;
 constexpr double kLastStep = 0.008;  // px
 // In a large disc, whose many pixels make the cost smooth, a step need not be evaluated to be the last, its residuals being
 // those that the Jacobian predicts, if it is short, px, or below this many standard deviations of the parameters together and
 // so much shorter than the one before that the next would be nothing.
 constexpr double kLastStepUnseen = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03, kLastStepShrinks = 0.25;
+constexpr double kLastClippedStepOfSigma = 0.3;
 constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened image's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
@@ -225,7 +226,7 @@ inline void solve(const double (&L)[kParameters][kParameters], const double* b, 
 // The information matrix, with weak priors on what small windows cannot tell: the two blurs' difference and the tone.
 inline void information(const Equations& e, const double* p, double noise2, bool is_clipped, double (&A)[kParameters][kParameters],
                         double* gradient) {
-    constexpr double kBlurSpread = 0.3, kToneSpread = 0.15, kClippedToneSpread = 0.05;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
+    constexpr double kBlurSpread = 0.3, kToneSpread = 0.15, kClippedToneSpread = 0.02;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
     for (int i = 0; i < kParameters; ++i) {
         for (int j = 0; j < kParameters; ++j) A[i][j] = e.gram[i][j];
         gradient[i] = e.gram[i][kParameters];
@@ -390,7 +391,7 @@ class CornerFitter {
         CornerResult result;
         if (has_begun) {
             Progress progress = Progress::running;
-            while (progress == Progress::running && n_evaluations_ < kMaxEvaluations) progress = iterate();
+            while (progress == Progress::running && n_evaluations_ < (work_.patch.is_clipped ? kMaxClippedEvaluations : kMaxEvaluations)) progress = iterate();
             if (progress == Progress::done && is_a_corner() && describe(result)) return result;
         }
         std::fill_n(reinterpret_cast<double*>(&result), kResultSize, std::numeric_limits<double>::quiet_NaN());
@@ -460,7 +461,7 @@ class CornerFitter {
         if (!propose(step)) return damp(1e-3, 1e6);
         if (!stays(step.next)) return Progress::failed;
         const bool may_end = greatest_ == kMaxRadius && step.shrink == 1 && damping_ < 0.1;
-        if (is_large_ && may_end && is_short(step) && is_linearized_here_ && step.blurs_hold(0.01)) {
+        if (is_large_ && may_end && is_short(step) && is_linearized_here_ && step.blurs_hold(0.01) && levels_hold(step)) {
             end_unseen(step);
             return Progress::done;
         }
@@ -470,7 +471,7 @@ class CornerFitter {
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (!(cost <= cost_ * (1 + 1e-6) || (step.moved < 0.05 && cost < cost_ * (1 + 3e-3)))) return damp(1e-2, 1e7);
         accept(step, cost);
-        if (may_end && step.moved < kLastStep && step.blurs_hold(is_large_ ? 0.02 : 0.05)) return Progress::done;
+        if (may_end && step.moved < kLastStep && step.blurs_hold(is_large_ ? 0.02 : 0.05) && levels_hold(step)) return Progress::done;
         return follow(step.moved) ? Progress::running : Progress::failed;
     }
 
@@ -512,6 +513,11 @@ class CornerFitter {
     bool is_short(const Step& step) const {
         return step.moved < kLastStepUnseen || (step.moved < kLastStepAtMost && step.moved < kLastStepShrinks * last_moved_ &&
                                                 step.decrement < kLastStepOfSigma * kLastStepOfSigma * current_.noise2);
+    }
+
+    // Where the paper is clipped its level is known from the edges' shape alone, and found last.
+    bool levels_hold(const Step& step) const {
+        return !work_.patch.is_clipped || step.decrement < kLastClippedStepOfSigma * kLastClippedStepOfSigma * current_.noise2;
     }
 
     // The last step, its residuals as the Jacobian predicts them.
