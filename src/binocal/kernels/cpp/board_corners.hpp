@@ -122,8 +122,8 @@ struct BoardPlaces {
 // A corner whose first disc, by the reach that the caller knew, held one of the bent lines beside it: again from where the others'
 // lens sees it, with the reach by that lens. A corner that failed for anything else stays as it is.
 template <typename Pixel>
-CornerResult fit_off_lines(const ImageView<Pixel>& image, CornerInput input, const CornerResult& nowhere, const ImageLens& lens, const double (&at)[2], double pitch,
-                           bool looks_at_noise, Workspace& work) {
+CornerResult fit_off_lines(const ImageView<Pixel>& image, CornerInput input, const CornerResult& nowhere, const ImageLens& lens,
+                           const double (&at)[2], double pitch, bool looks_at_noise, Workspace& work) {
     const double start[2] = {input.x, input.y};
     if (!lens.project(lens.direction(at[0], at[1]), 6, input.x, input.y)) return nowhere;
     if (!(std::hypot(input.x - start[0], input.y - start[1]) < std::max(1.5, 0.5 * input.reach))) return nowhere;
@@ -134,7 +134,8 @@ CornerResult fit_off_lines(const ImageView<Pixel>& image, CornerInput input, con
 }
 
 template <typename Pixel>
-void fit_board_corners(const ImageView<Pixel>& image, const CornerInput* inputs, std::ptrdiff_t n, const BoardPlaces& board, CornerResult* results) {
+void fit_board_corners(const ImageView<Pixel>& image, const CornerInput* inputs, std::ptrdiff_t n, const BoardPlaces& board,
+                       CornerResult* results) {
     fit_corners(image, inputs, n, results);
     std::vector<LensPoint> points;
     double extent = 0;

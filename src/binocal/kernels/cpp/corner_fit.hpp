@@ -8,6 +8,13 @@
 // Eleven parameters: c (2), two edge angles, two log blurs, a, b, g (2), q. Each edge has its own blur, for motion; q is the
 // first order of a tone curve (gamma, saturation). Both are even under u -> -u, as all but c and g are, so they cost the
 // position nothing. Pixel integration adds 1/12 px^2 to the blurs' squares, which the fit absorbs.
+// Grey values beyond the range's ends are clipped to them, the noise with them: where m is normal with the mean m0 = grey value and the
+// noise's standard deviation, the value to expect at the top t is E[min(m, t)] = m0 - s (phi(z) + z Phi(z)), z = (m0 - t) / s (the mean
+// of a censored normal: Greene 2012, Econometric Analysis, theorem 19.3), and it follows m0 by the share 1 - Phi(z) that is not clipped.
+// A disc with clipped values is fitted by that expectation at both ends: values far beyond the top say no more than that they are there,
+// and as the model is smooth and bounded, neither noise that was clipped nor a compression's ringing at the top pulls the corner. Edges of
+// clipped paper seem to lie in the ink, on opposite arms of an edge towards opposite sides: that the arms are one line tells the paper's
+// level, where blur and level alone would trade.
 // An edge that a lens bends by a known curvature k has d = (n.u - k / 2 ((t.u)^2 + sigma^2)) / sigma, t along it: the last term
 // is what blur moves a bent edge by, towards its centre of curvature.
 #pragma once
@@ -39,13 +46,13 @@ constexpr double kFirstRadius = 7;
 constexpr double kDiscShare = 0.85;  // of the reach, of the disc's radius
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
-constexpr int kMaxEvaluations = 25, kMaxClippedEvaluations = 40;
+constexpr int kMaxEvaluations = 25, kMaxClippedEvaluations = 40;  // a level that is clipped is found from far below
 constexpr double kLastStep = 0.008;  // px
 // In a large disc, whose many pixels make the cost smooth, a step need not be evaluated to be the last, its residuals being
 // those that the Jacobian predicts, if it is short, px, or below this many standard deviations of the parameters together and
 // so much shorter than the one before that the next would be nothing.
 constexpr double kLastStepUnseen = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03, kLastStepShrinks = 0.25;
-constexpr double kLastClippedStepOfSigma = 0.3;
+constexpr double kLastClippedStepOfSigma = 0.3;  // of all parameters together: ended by the corner's own step, levels were 20 % off
 constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened image's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
@@ -87,7 +94,7 @@ struct alignas(32) Patch {
     float u[kMaxPixels], v[kMaxPixels];  // whole pixels from `column`, `row`
     float value[kMaxPixels];             // in units of the start's contrast
     int column, row;
-    bool is_clipped;  // holds values at the bottom or the top of the range
+    bool is_clipped;  // holds values at an end of the range
     int n_vectors;
     int n_rows;
     struct {
@@ -105,10 +112,11 @@ struct Region {
 struct Clipping {
     double bottom, top, noise;
 };
-constexpr float kClear = 0.98f;             // of what a grey value tells: pixels of less are near an end of the range, their noise clipped
-constexpr double kFirstNoise = 0.05;        // of the start's contrast
-constexpr double kLeastNoise_dn = 0.29;     // that of rounding
-constexpr double kNoiseSteps = 1.3;         // the noise is taken anew where it has changed by more than this factor
+constexpr float kClear = 0.98f;  // of a change that is seen: pixels that show less are near an end of the range, their noise clipped
+constexpr double kFirstNoise = 0.05, kMostNoise = 0.1;  // of the start's half contrast
+constexpr double kLeastNoise_dn = 0.29;                 // rounding's
+constexpr double kNoiseStep = 1.3;                      // the noise is taken anew where it has changed by more than this factor
+constexpr int kLastNoiseEvaluation = 10;
 
 struct Equations {
     double gram[kColumns][kColumns];
@@ -127,7 +135,7 @@ struct Workspace {
     alignas(32) float columns[kColumns][kMaxPixels];
     alignas(32) float weights[kMaxPixels];
     alignas(32) float moves[2][kMaxPixels];
-    double disc, squares_of_clear;  // sums of all weights, and of the squares of the residuals that are not clipped, of a clipped patch
+    double disc, clear_squares;  // of a clipped patch: the sum of all weights, and of the squared residuals that are not clipped
 };
 
 // An image of (height, width) and the ends of its range: values there may be clipped.
@@ -149,6 +157,7 @@ void gather(const ImageView<Pixel>& image, double x, double y, double radius, do
     patch.row = static_cast<int>(std::lround(y));
     const double limit = radius + 0.5 + kSlack;
     const float gain = static_cast<float>(scale);
+    Pixel least = std::numeric_limits<Pixel>::max(), most = std::numeric_limits<Pixel>::lowest();
     int n = 0;
     patch.n_rows = 0;
     for (int row = static_cast<int>(std::ceil(y - limit)); row <= y + limit; ++row) {
@@ -157,14 +166,17 @@ void gather(const ImageView<Pixel>& image, double x, double y, double radius, do
         const Pixel* line = image.pixels + row * image.width;
         float v = static_cast<float>(row - patch.row);
         patch.rows[patch.n_rows++] = {first - patch.column, row - patch.row, n, last - first + 1};
+        for (int column = first; column <= last; ++column) {
+            least = std::min(least, line[column]);
+            most = std::max(most, line[column]);
+        }
         for (int column = first; column <= last; ++column, ++n) {
             patch.u[n] = static_cast<float>(column - patch.column);
             patch.v[n] = v;
             patch.value[n] = static_cast<float>(line[column]) * gain;
         }
     }
-    const auto [least, most] = std::minmax_element(patch.value, patch.value + n);
-    patch.is_clipped = *most > (image.top - 0.5) * scale || *least < (image.bottom + 0.5) * scale;
+    patch.is_clipped = least <= image.bottom || most >= image.top;
     while (n % kLanes) {
         patch.u[n] = patch.v[n] = 1000.0f;  // outside every disc
         patch.value[n] = 0.0f;
@@ -224,14 +236,17 @@ inline void solve(const double (&L)[kParameters][kParameters], const double* b, 
 }
 
 // The information matrix, with weak priors on what small windows cannot tell: the two blurs' difference and the tone.
-inline void information(const Equations& e, const double* p, double noise2, bool is_clipped, double (&A)[kParameters][kParameters],
-                        double* gradient) {
-    constexpr double kBlurSpread = 0.3, kToneSpread = 0.15, kClippedToneSpread = 0.02;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
+//
+// Where values are clipped the tone is held near none: a level beyond the range and a tone that saturates explain the same.
+inline void information(const Equations& e, const double* p, bool is_clipped, double (&A)[kParameters][kParameters], double* gradient) {
+    constexpr double kBlurSpread = 0.3;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
+    constexpr double kToneSpread = 0.15, kClippedToneSpread = 0.02;
     for (int i = 0; i < kParameters; ++i) {
         for (int j = 0; j < kParameters; ++j) A[i][j] = e.gram[i][j];
         gradient[i] = e.gram[i][kParameters];
     }
-    double blur = noise2 / (kBlurSpread * kBlurSpread), spread = is_clipped ? kClippedToneSpread : kToneSpread, tone = noise2 / (spread * spread);
+    const double spread = is_clipped ? kClippedToneSpread : kToneSpread;
+    double blur = e.noise2 / (kBlurSpread * kBlurSpread), tone = e.noise2 / (spread * spread);
     double difference = p[kBlur1] - p[kBlur2];
     A[kBlur1][kBlur1] += blur;
     A[kBlur2][kBlur2] += blur;
@@ -253,8 +268,7 @@ inline void subtract(Workspace& work, const double* step) {
 
 // Where edges, levels and contrast begin, read on two rings around the corner; false where there is no saddle.
 template <typename Pixel>
-bool start(const ImageView<Pixel>& image, double x, double y, double radius, double* p, double& offset,
-           double& contrast) {
+bool start(const ImageView<Pixel>& image, double x, double y, double radius, double* p, double& offset, double& contrast) {
     constexpr int n = 32;  // over half a turn: opposite samples are averaged
     constexpr double pi = 3.14159265358979;
     static const auto circle = [] {
@@ -391,12 +405,14 @@ class CornerFitter {
         CornerResult result;
         if (has_begun) {
             Progress progress = Progress::running;
-            while (progress == Progress::running && n_evaluations_ < (work_.patch.is_clipped ? kMaxClippedEvaluations : kMaxEvaluations)) progress = iterate();
+            while (progress == Progress::running && n_evaluations_ < most_evaluations()) progress = iterate();
             if (progress == Progress::done && is_a_corner() && describe(result)) return result;
         }
         std::fill_n(reinterpret_cast<double*>(&result), kResultSize, std::numeric_limits<double>::quiet_NaN());
         return result;
     }
+
+    int most_evaluations() const { return work_.patch.is_clipped ? kMaxClippedEvaluations : kMaxEvaluations; }
 
     struct Step {
         double change[kParameters], next[kParameters];
@@ -452,7 +468,8 @@ class CornerFitter {
         multiply(work_, equations);
         const double squares = equations.gram[kParameters][kParameters];
         equations.mean_square = squares / std::max(patch.is_clipped ? work_.disc : equations.weight_sum, 1e-9);
-        equations.noise2 = patch.is_clipped ? work_.squares_of_clear / std::max(equations.weight_sum, 1e-9) : equations.mean_square;
+        equations.noise2 =
+            patch.is_clipped ? work_.clear_squares / std::max(equations.weight_sum, 1e-9) : equations.mean_square;
         return equations.mean_square;
     }
 
@@ -471,14 +488,15 @@ class CornerFitter {
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (!(cost <= cost_ * (1 + 1e-6) || (step.moved < 0.05 && cost < cost_ * (1 + 3e-3)))) return damp(1e-2, 1e7);
         accept(step, cost);
-        if (may_end && step.moved < kLastStep && step.blurs_hold(is_large_ ? 0.02 : 0.05) && levels_hold(step)) return Progress::done;
+        if (may_end && step.moved < kLastStep && step.blurs_hold(is_large_ ? 0.02 : 0.05) && levels_hold(step))
+            return Progress::done;
         return follow(step.moved) ? Progress::running : Progress::failed;
     }
 
     // The damped step, shortened where it would be wild; false where its equations are singular.
     BINOCAL_INLINE bool propose(Step& step) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters];
-        information(current_, p_, current_.noise2, work_.patch.is_clipped, A, gradient);
+        information(current_, p_, work_.patch.is_clipped, A, gradient);
         for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping_;
         if (!factorize(A, L)) return false;
         double* change = step.change;
@@ -515,9 +533,10 @@ class CornerFitter {
                                                 step.decrement < kLastStepOfSigma * kLastStepOfSigma * current_.noise2);
     }
 
-    // Where the paper is clipped its level is known from the edges' shape alone, and found last.
+    // Where the paper is clipped its level is known from the edges alone, and found last.
     bool levels_hold(const Step& step) const {
-        return !work_.patch.is_clipped || step.decrement < kLastClippedStepOfSigma * kLastClippedStepOfSigma * current_.noise2;
+        constexpr double most = kLastClippedStepOfSigma * kLastClippedStepOfSigma;
+        return !work_.patch.is_clipped || step.decrement < most * current_.noise2;
     }
 
     // The last step, its residuals as the Jacobian predicts them.
@@ -547,8 +566,8 @@ class CornerFitter {
     void follow_noise() {
         const double left = std::max(current_.weight_sum - kParameters, 0.25 * current_.weight_sum);
         const double found = std::sqrt(current_.noise2 * current_.weight_sum / std::max(left, 1.0));
-        const double noise = std::max(std::min(found, 2 * kFirstNoise), kLeastNoise_dn / contrast_);
-        if (n_evaluations_ >= 10 || std::fabs(std::log(noise / clipping_.noise)) < std::log(kNoiseSteps)) return;
+        const double noise = std::max(std::min(found, kMostNoise), kLeastNoise_dn / contrast_);
+        if (n_evaluations_ >= kLastNoiseEvaluation || std::fabs(std::log(noise / clipping_.noise)) < std::log(kNoiseStep)) return;
         clipping_.noise = noise;
         cost_ = evaluate(p_, current_);
         ++n_evaluations_;
@@ -578,7 +597,7 @@ class CornerFitter {
     // What is written of the fit; false where its information is singular.
     bool describe(CornerResult& r) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
-        information(current_, p_, current_.noise2, work_.patch.is_clipped, A, gradient);
+        information(current_, p_, work_.patch.is_clipped, A, gradient);
         if (!factorize(A, L)) return false;
         constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
         for (int i = 0; i < 4; ++i) {

@@ -111,15 +111,17 @@ BINOCAL_INLINE Lane error_function(Lane x, Lane gauss) {
 
 constexpr float kFar = 5.0f;  // sigmas: beyond it 6e-7 of the contrast is left
 
-// E[max(n - distance, 0)], n normal with standard deviation `noise`: what clipping so far off takes away, and the share of n beyond.
+// E[max(n - distance, 0)] of a normal n with mean 0: what an end of the range takes away that lies so far off; and the share beyond it.
 BINOCAL_INLINE Lane clipped_away(Lane distance, Lane noise, Lane over_noise, Lane& beyond) {
-    Lane z = min_of(max_of(distance * over_noise, splat(-8.0f)), splat(8.0f));
-    Lane gauss = exponential(splat(-0.5f) * z * z);
+    const Lane far = splat(8.0f), zero = splat(0.0f);
+    const Lane z = min_of(max_of(distance * over_noise, zero - far), far);
+    const Lane gauss = exponential(splat(-0.5f) * z * z);
     beyond = splat(0.5f) - splat(0.5f) * error_function(z, gauss);
-    return max_of(noise * splat(0.39894228f) * gauss - distance * beyond, splat(0.0f));
+    return max_of(noise * (splat(0.39894228f) * gauss - z * beyond), zero - distance);
 }
 
-// Fill the Jacobian's columns, the residual's and the weights; each column is multiplied by the root of the weight.
+// Fill the Jacobian's columns, the residual's and the weights; each column is multiplied by the root of the weight. Where values are
+// clipped the weights kept are those of the pixels whose noise is not.
 template <bool is_bent, bool is_clipped>
 inline void linearize_as(Workspace& work, const double* p, const Region& region, const Clipping& clipping) {
     const Patch& patch = work.patch;
@@ -149,7 +151,7 @@ inline void linearize_as(Workspace& work, const double* p, const Region& region,
     const Lane edge = constant(region.radius + 0.5), strip = constant(std::min(region.strip, 100.0) + 0.5);
     const Lane top = constant(clipping.top), bottom = constant(clipping.bottom);
     const Lane noise = constant(clipping.noise), over_noise = constant(1 / clipping.noise);
-    Lane disc = zero, squares_of_clear = zero;
+    Lane disc = zero, clear_squares = zero;
     for (int i = 0; i < patch.n_vectors; ++i) {
         const int at = i * kLanes;
         Lane u = load(patch.u + at) - fx, v = load(patch.v + at) - fy;
@@ -198,19 +200,20 @@ inline void linearize_as(Workspace& work, const double* p, const Region& region,
         Lane light = one + gx * u + gy * v;
         Lane G = F + q * (one - F * F);
         Lane print = a + b * G;
-        Lane grey = print * light, residual;
+        Lane grey = print * light;
         if constexpr (is_clipped) {
             Lane above, below;
-            Lane lost = clipped_away(top - grey, noise, over_noise, above), won = clipped_away(grey - bottom, noise, over_noise, below);
-            residual = root * (load(patch.value + at) - (grey - lost + won));
-            Lane left = max_of(one - above - below, zero);
-            Lane clear = min_of(max_of((left - splat(kClear)) * splat(1 / (1 - kClear) * 2), zero), one);
-            disc = disc + weight;
-            squares_of_clear = squares_of_clear + residual * residual * clear;
+            grey = grey - clipped_away(top - grey, noise, over_noise, above) + clipped_away(grey - bottom, noise, over_noise, below);
+            Lane seen = max_of(one - above - below, zero);
+            Lane clear = min_of(max_of((seen - splat(kClear)) * splat(2 / (1 - kClear)), zero), one);
+            Lane residual = root * (load(patch.value + at) - grey);
+            store(work.columns[kParameters] + at, residual);
             store(work.weights + at, weight * clear);
-            root = root * left;
+            disc = disc + weight;
+            clear_squares = clear_squares + residual * residual * clear;
+            root = root * seen;
         } else {
-            residual = root * (load(patch.value + at) - grey);
+            store(work.columns[kParameters] + at, root * (load(patch.value + at) - grey));
         }
         Lane gain = root * light * b * (one - splat(2.0f) * q * F);
         F1 = F1 * gain;
@@ -227,17 +230,17 @@ inline void linearize_as(Workspace& work, const double* p, const Region& region,
         store(work.columns[kSlopeX] + at, root * print * u);
         store(work.columns[kSlopeY] + at, root * print * v);
         store(work.columns[kTone] + at, root * light * b * (one - F * F));
-        store(work.columns[kParameters] + at, residual);
     }
     if constexpr (is_clipped) {
         work.disc = sum_of(disc);
-        work.squares_of_clear = sum_of(squares_of_clear);
+        work.clear_squares = sum_of(clear_squares);
     }
 }
 
 inline void linearize(Workspace& work, const double* p, const Region& region, const Clipping& clipping) {
     const bool is_straight = region.bend[0] == 0 && region.bend[1] == 0;
-    if (work.patch.is_clipped) return is_straight ? linearize_as<false, true>(work, p, region, clipping) : linearize_as<true, true>(work, p, region, clipping);
+    if (work.patch.is_clipped)
+        return is_straight ? linearize_as<false, true>(work, p, region, clipping) : linearize_as<true, true>(work, p, region, clipping);
     is_straight ? linearize_as<false, false>(work, p, region, clipping) : linearize_as<true, false>(work, p, region, clipping);
 }
 
