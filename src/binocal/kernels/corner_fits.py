@@ -29,6 +29,7 @@ CORNER_FIT = np.dtype(
         ("n_pixels", float),
         ("n_evaluations", float),
         ("long_variance", float),
+        ("clipped_share", float),
     ]
 )
 """The kernel's ``CornerResult``: ``covariance`` is the upper triangle, row by row, of that of x, y and the two slopes."""
@@ -123,6 +124,11 @@ class CornerFits:
     def long_variance(self) -> Float[ndarray, "n"]:
         """Variance of independent noise that would scatter the corner as the image's does, grey levels^2; NaN if not measured."""
         return self.records["long_variance"]
+
+    @property
+    def clipped_share(self) -> Float[ndarray, "n"]:
+        """Share of the disc's pixels that are so near an end of the range that their noise is clipped."""
+        return self.records["clipped_share"]
 
     @property
     def n_evaluations(self) -> Float[ndarray, "n"]:

@@ -17,6 +17,9 @@ constexpr std::size_t kMinCornersForAll = 10;  // of the lens's unknowns; below 
 constexpr double kMostOffLens_px = 1.0;        // median distance from the lens: beyond it the image is no plane's
 constexpr double kStraight_px = 0.003;         // edges that would move no corner by more bend the reach too little to count
 constexpr double kBent_px = 0.006;             // beyond it what is left along the edges would count as noise
+// The same beside clipped paper: there the light's slope shifts both arms of an edge to one side, and takes the place of the bend, so
+// that what a bent edge moves the corner by is not known before.
+constexpr double kBentClipped_px = 0.0003;
 constexpr double kTouching = 0.9;              // of the reach by the lens: a first disc beyond it may hold a neighbour's edge
 constexpr double kDerivativeStep = 0.05;       // pitches
 constexpr double kLineHalf = 1.3;              // pitches, from the middle of a neighbouring line to where it ends
@@ -187,7 +190,7 @@ void fit_board_corners(const ImageView<Pixel>& image, const CornerInput* inputs,
             touches = results[i].radius > kTouching * reach;
             input.reach = std::min(input.reach, reach);
         }
-        if (touches || offset_of(i) > kBent_px) {
+        if (touches || offset_of(i) > (results[i].clipped_share > 0 ? kBentClipped_px : kBent_px)) {
             double bend[2];
             attach(results[i], bends[i], bend);
             input.x = results[i].x, input.y = results[i].y;

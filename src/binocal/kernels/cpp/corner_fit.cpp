@@ -15,7 +15,7 @@ void fit(const Image<Pixel>& image, double bottom, double top, const Doubles& in
          DoublesOut results) {
     const std::size_t n = inputs.size() / kInputSize;
     if (inputs.size() != kInputSize * n || results.size() != kResultSize * n)
-        throw nb::value_error("inputs must be (n, 4) and results (n, 25)");
+        throw nb::value_error("inputs must be (n, 4) and results (n, 26)");
     require(board_xy.size() == 0 || board_xy.size() == 2 * n, "board_xy must be (n, 2) or empty");
     const ImageView<Pixel> view{image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
                                 bottom, top};
@@ -30,7 +30,7 @@ void fit(const Image<Pixel>& image, double bottom, double top, const Doubles& in
 double pool(const Doubles& fits, DoublesOut pooled) {
     const std::size_t n = fits.size() / kResultSize;
     if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n)
-        throw nb::value_error("fits must be (n, 25) and results (n, 11)");
+        throw nb::value_error("fits must be (n, 26) and results (n, 11)");
     nb::gil_scoped_release unlocked;
     return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n,
                         reinterpret_cast<PooledCorner*>(pooled.data()));
@@ -54,6 +54,7 @@ nb::dict record_layouts() {
     fit["n_pixels"] = offsetof(CornerResult, n_pixels);
     fit["n_evaluations"] = offsetof(CornerResult, n_evaluations);
     fit["long_variance"] = offsetof(CornerResult, long_variance);
+    fit["clipped_share"] = offsetof(CornerResult, clipped_share);
     pooled["point_px"] = offsetof(PooledCorner, x);
     pooled["covariance_px2"] = offsetof(PooledCorner, covariance);
     pooled["cross_covariance_px2"] = offsetof(PooledCorner, cross);

@@ -70,8 +70,9 @@ struct CornerResult {
     double radius, n_pixels;  // px, and the sum of the weights
     double n_evaluations;
     double long_variance;     // grey levels^2: of noise that is alike in neighbouring pixels, as it moves the corner; NaN if not measured
+    double clipped_share;     // of the disc: pixels so near an end of the range that their noise is clipped
 };
-constexpr int kResultSize = 25;
+constexpr int kResultSize = 26;
 static_assert(sizeof(CornerResult) == kResultSize * sizeof(double));
 
 // Gauss-Legendre nodes and weights on [0, 1].
@@ -451,6 +452,7 @@ class CornerFitter {
             p_[kBlur1] = std::log(first->blur1), p_[kBlur2] = std::log(first->blur2);
             p_[kContrast] = first->contrast / contrast_;
             p_[kSlopeX] = first->gx, p_[kSlopeY] = first->gy;
+            if (first->clipped_share > 0) p_[kOffset] += p_[kContrast] - 1;  // the ring shows the ink's level, and clipped paper
         }
         work_.patch.radius = 0;  // holds another corner
         clipping_ = Clipping{image_.bottom / contrast_, image_.top / contrast_, kFirstNoise};
@@ -619,6 +621,7 @@ class CornerFitter {
         r.angle1 = p_[kAngle1], r.angle2 = p_[kAngle2];
         r.radius = region_.radius;
         r.n_pixels = current_.weight_sum;
+        r.clipped_share = work_.patch.is_clipped ? 1 - current_.weight_sum / std::max(work_.disc, 1e-9) : 0;
         r.n_evaluations = n_evaluations_;
         return true;
     }
