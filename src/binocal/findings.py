@@ -566,14 +566,7 @@ _KINDS = (
         "corners-lock-to-pixels", _W, "Corners are drawn to places between the pixels",
         "{camera} corners lock to the pixels: an error of up to {amplitude_px:.2f} px repeats every {period_px:g} px "
         "({share_percent:.0f} % of the residuals' variance) and was taken out; {remedy}.",
-        "calibrate with images of the camera's own resolution, not resized or enlarged, whose paper does not saturate",
-    ),
-    FindingKind(
-        "corners-burnt-out", _W, "The board's paper saturates, and its corners are drawn to places between the pixels",
-        "the board's paper is saturated in {images_percent:.0f} % of the {camera} images, which makes edges too sharp for the pixels: an "
-        "error of up to {amplitude_px:.2f} px repeats with them ({share_percent:.0f} % of the residuals' variance) and was taken out; "
-        "{remedy}.",
-        "expose less, so that the paper stays below the greatest grey value",
+        "calibrate with images of the camera's own resolution, not resized or enlarged",
     ),
     FindingKind(
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",

@@ -148,23 +148,22 @@ class BoardPlaces:
     pitch: float = 0.0
 
 
-FULL_SCALES_DN = tuple(
-    sorted({(2**bits - 1) << shift for bits in (8, 10, 12, 14) for shift in (0, 16 - bits)} | {2**16 - 1})
-)
-"""What the greatest value of a 16-bit image may be that is clipped: sensors of 8 to 16 bits, at either end of the word."""
+LEAST_CLIPPED_SHARE = 1e-3  # of a 16-bit image's pixels at its greatest value, for it to be where the sensor clips
 
 
 def range_of(grey: ndarray) -> tuple[float, float]:
-    """The ends of an image's range, infinite where nothing clips: of 8 bits 0 and 255.
+    """The ends of an image's range in grey levels, infinite where none is known: 0 and 255 of 8 bits, of floats none.
 
-    Of 16 bits 0 and the image's greatest value, where that is a sensor's full scale. Of floats none is known.
+    Sensors of 10 to 14 bits clip anywhere in a 16-bit word: the top is the image's greatest value if many pixels have it.
+    Where those are no clipped ones (8-bit greys in 16 bits, drawings) no model of them goes beyond it.
     """
     if grey.dtype == np.uint8:
         return 0.0, 255.0
-    if grey.dtype == np.uint16 and grey.size:
-        most = int(grey.max())
-        return 0.0, float(most) if most in FULL_SCALES_DN else math.inf
-    return -math.inf, math.inf
+    if grey.dtype != np.uint16 or grey.size == 0:
+        return -math.inf, math.inf
+    most = int(grey.max())
+    is_clipped = np.mean(grey[::4, ::4] == most) >= LEAST_CLIPPED_SHARE
+    return 0.0, float(most) if is_clipped else math.inf
 
 
 def fit_corners(
@@ -178,8 +177,9 @@ def fit_corners(
     """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
 
     ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
-    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``. With the corners'
-    places on the board their edges are the curves that the image's lens makes of straight ones: ``board_corners.hpp``.
+    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``; grey values at the
+    ends of the range (:func:`range_of`) are taken for clipped. With the corners' places on the board their edges are the
+    curves that the image's lens makes of straight ones: ``board_corners.hpp``.
 
     Raises:
         ValueError: The image is of another type or shape.
@@ -191,7 +191,9 @@ def fit_corners(
     records = np.empty(len(inputs), CORNER_FIT)
     xy, pitch = (None, 0.0) if board is None else (board.xy, float(board.pitch))
     bottom, top = range_of(grey)
-    _kernel.fit_corners(np.ascontiguousarray(grey), bottom, top, _numbers(inputs), as_floats(xy), pitch, _numbers(records))
+    _kernel.fit_corners(
+        np.ascontiguousarray(grey), bottom, top, _numbers(inputs), as_floats(xy), pitch, _numbers(records)
+    )
     return CornerFits(records)
 
 

@@ -29,6 +29,7 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <type_traits>
 
 // The two inner loops are compiled twice where the compiler can: for every machine, and for those with AVX2.
 // (target_clones would be shorter, but GCC splits vectors for the plain machine before it clones: 4 times slower.)
@@ -144,7 +145,7 @@ template <typename Pixel>
 struct ImageView {
     const Pixel* pixels;
     std::ptrdiff_t height, width;
-    double bottom, top;  // infinite where nothing clips
+    double bottom, top;  // infinite where nothing clips; of floats no range is known
 };
 
 constexpr double kSlack = 0.3;  // px: pixels are gathered again when the corner has moved farther
@@ -167,9 +168,11 @@ void gather(const ImageView<Pixel>& image, double x, double y, double radius, do
         const Pixel* line = image.pixels + row * image.width;
         float v = static_cast<float>(row - patch.row);
         patch.rows[patch.n_rows++] = {first - patch.column, row - patch.row, n, last - first + 1};
-        for (int column = first; column <= last; ++column) {
-            least = std::min(least, line[column]);
-            most = std::max(most, line[column]);
+        if constexpr (std::is_integral_v<Pixel>) {
+            for (int column = first; column <= last; ++column) {
+                least = std::min(least, line[column]);
+                most = std::max(most, line[column]);
+            }
         }
         for (int column = first; column <= last; ++column, ++n) {
             patch.u[n] = static_cast<float>(column - patch.column);
@@ -177,7 +180,7 @@ void gather(const ImageView<Pixel>& image, double x, double y, double radius, do
             patch.value[n] = static_cast<float>(line[column]) * gain;
         }
     }
-    patch.is_clipped = least <= image.bottom || most >= image.top;
+    patch.is_clipped = std::is_integral_v<Pixel> && (least <= image.bottom || most >= image.top);
     while (n % kLanes) {
         patch.u[n] = patch.v[n] = 1000.0f;  // outside every disc
         patch.value[n] = 0.0f;
