@@ -336,16 +336,11 @@ EXPLANATIONS = {
         where bow or stretch exceed three of their standard deviations and move corners by more than half of the noise. Only
         the scale of the print remains unknown: over all of its points it is taken for that of the drawing.""",
     "corners-lock-to-pixels": """
-        In images that were made smaller without smoothing, enlarged, overexposed, or read from every other pixel, an edge is
+        In images that were made smaller without smoothing, enlarged, or read from every other pixel, an edge is
         measured at a place that depends on where it lies between the pixels. The error repeats with the pixels, or with those of the image
         before it was enlarged (2, 3 or 4 of today's). It is alike in all views, so that the residuals show it; a few
         harmonics of each camera's axes were fitted to them and taken from the corners before the solve went on. The curve
         stands in the provenance (`pixel_locking`). What it cannot mend is the sharpness that the images have lost.""",
-    "corners-burnt-out": """
-        Where paper is much brighter than the greatest grey value, the image shows an edge that rises within a fraction of a
-        pixel. Where it lies between the pixels is then lost: corners are off by 0.002 px at 1.2 times the range, by 0.02 px at
-        1.8 times, and by 0.03 px at 1.6 times in a very sharp image (blur 0.5 px). The residuals show it as a curve that repeats with
-        the pixels, as in [corners-lock-to-pixels](corners-lock-to-pixels.md), and it was taken out of the corners.""",
     "model-choice-weak": """
         Camera models are compared by the rows and lengths of views that were held out. With fewer than six views nothing can
         be held out, and the Bayesian information criterion decides.""",

@@ -41,7 +41,6 @@ class PairDetections:
     rejected: tuple[RejectedView, ...]
     notes: tuple[str, ...]
     input_sha256: dict[str, str]
-    burnt_out_share: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,6 @@ class FakePackages:
             self.rejected,
             ("left and right images differ in size",),
             {"left": "0" * 64, "right": "1" * 64},
-            {"left": 0.0, "right": 0.0},
         )
 
     def _call_calibrate(self, detections, request, *, calibrator, inputs):

@@ -566,7 +566,7 @@ _KINDS = (
         "corners-lock-to-pixels", _W, "Corners are drawn to places between the pixels",
         "{camera} corners lock to the pixels: an error of up to {amplitude_px:.2f} px repeats every {period_px:g} px "
         "({share_percent:.0f} % of the residuals' variance) and was taken out; {remedy}.",
-        "calibrate with images of the camera's own resolution, not resized or enlarged, whose paper does not saturate",
+        "calibrate with images of the camera's own resolution, not resized or enlarged",
     ),
     FindingKind(
         "halves-disagree", _W, "Two halves of the views give other depths than their standard deviations allow",
@@ -592,13 +592,6 @@ _KINDS = (
         "the images do not agree with the rig as its standard deviations allow ({difference_sigma:.1f} of them, RMS over {n_directions} "
         "directions; p = {p_value:.1g}): {what}; {remedy}.",
         "calibrate anew; where that does not last, look for what is loose",
-    ),
-    FindingKind(
-        "corners-burnt-out", _W, "The board's paper saturates, and its corners are drawn to places between the pixels",
-        "the board's paper is saturated in {images_percent:.0f} % of the {camera} images, which makes edges too sharp for the pixels: an "
-        "error of up to {amplitude_px:.2f} px repeats with them ({share_percent:.0f} % of the residuals' variance) and was taken out; "
-        "{remedy}.",
-        "expose less, so that the paper stays below the greatest grey value",
     ),
     FindingKind(
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",

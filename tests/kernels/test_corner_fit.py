@@ -4,14 +4,23 @@ import numpy as np
 import plain_corner_fit as plain
 import pytest
 
-from binocal.kernels.corner_fits import fit_corners
+from binocal.kernels.corner_fits import fit_corners, range_of
 
 
-def make_corner(opening_rad=1.4, turn_rad=0.3, blur_px=1.1, tone=0.0, noise_dn=2.0, seed=0, at=(20.3, 19.6)):
+def make_corner(
+    opening_rad=1.4, turn_rad=0.3, blur_px=1.1, tone=0.0, noise_dn=2.0, seed=0, at=(20.3, 19.6), levels=(110, 80)
+):
     v, u = np.mgrid[:41, :41].astype(float)
-    p = [*at, turn_rad, turn_rad + opening_rad + np.pi, *np.log([blur_px, blur_px]), 110, 80, 5e-4, -3e-4, tone]
+    p = [*at, turn_rad, turn_rad + opening_rad + np.pi, *np.log([blur_px, blur_px]), *levels, 5e-4, -3e-4, tone]
     exact = plain.grey_values(p, u, v)
     return (exact + noise_dn * np.random.default_rng(seed).standard_normal(exact.shape)).astype(np.float32), np.array(p)
+
+
+def make_clipped_corner(over, *, black_dn=40.0, **corner):
+    """Paper at ``over`` times the range of 8 bits."""
+    white_dn = over * 255.0
+    image, p = make_corner(levels=((white_dn + black_dn) / 2, (white_dn - black_dn) / 2), **corner)
+    return np.rint(np.clip(image, 0, 255)).astype(np.uint8), p
 
 
 def fit_one(image, start=(20.0, 20.0), reach=16.0, strip=np.inf):
@@ -54,6 +63,55 @@ def test_errors_are_as_the_information_matrix_says(blur_px):
         error = fit.points_px[0] - p[:2]
         scores.append(error @ np.linalg.solve(9 * fit.joint_covariance[0, :2, :2], error))
     assert np.mean(scores) == pytest.approx(2, abs=0.42)  # chi-square with 2 degrees: 3 sigma of the mean of 200
+
+
+@pytest.mark.parametrize("over", [1.0, 1.5, 2.5])
+@pytest.mark.parametrize("opening_rad", [1.0, 1.57])
+def test_the_estimate_of_a_clipped_corner_is_the_plain_models_minimum(over, opening_rad):
+    image, truth = make_clipped_corner(over, opening_rad=opening_rad)
+    fit = fit_one(image)
+    p, inverse = plain.refit(image, truth, fit.radius_px[0], clipping=(np.hypot(2, 0.29), 0.0, 255.0), tone_spread=0.02)
+    # measured 4e-6 to 3e-4 px; the estimate's own sigma is 0.005
+    assert np.abs(p[:2] - fit.points_px[0]).max() < 6e-4
+    assert np.allclose(inverse, fit.joint_covariance[0, :2, :2], rtol=0.06, atol=0.03 * inverse.max())
+    assert fit.contrast_dn[0] == pytest.approx(2 * p[7], rel=0.01)
+    assert 0.1 < fit.clipped_share[0] < 0.6
+
+
+@pytest.mark.parametrize("over", [1.0, 1.4, 2.0, 3.0])
+@pytest.mark.parametrize("blur_px", [0.7, 1.2])
+def test_errors_of_clipped_corners_are_as_stated(over, blur_px):
+    """And the noise is that of the pixels where it is not clipped."""
+    scores, odd = [], []
+    for seed in range(200):
+        image, p = make_clipped_corner(over, opening_rad=1.2, blur_px=blur_px, noise_dn=3.0, seed=seed)
+        fit = fit_one(image)
+        error = fit.points_px[0] - p[:2]
+        scores.append(error @ np.linalg.solve(9.08 * fit.joint_covariance[0, :2, :2], error))
+        odd.append(fit.odd_variance[0])
+    assert np.mean(scores) == pytest.approx(2, abs=0.42)  # measured 1.79 to 2.10
+    assert np.mean(odd) == pytest.approx(9.08, rel=0.02)
+
+
+def test_ink_that_is_clipped_is_fitted_like_paper():
+    image, p = make_corner(levels=(60, 110), noise_dn=2.0)  # ink at -50
+    dark = np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+    fits = [fit_one(dark), fit_one(dark.astype(np.uint16) * 200)]  # the second's top is not known
+    for fit in fits:
+        assert np.abs(fit.points_px[0] - p[:2]).max() < 0.012  # 3 sigma
+        assert np.abs(fit.points_px[0] - fits[0].points_px[0]).max() < 5e-4
+        assert 0.4 < fit.clipped_share[0] < 0.7
+
+
+def test_the_top_of_sixteen_bits_is_where_many_pixels_are():
+    image, _ = make_clipped_corner(1.6)
+    of_12_bits = np.minimum(image.astype(np.uint16) * 16, 4031)  # black level taken off
+    fits = [fit_one(image), fit_one(of_12_bits)]
+    assert range_of(image) == (0, 255) and range_of(of_12_bits) == (0, 4031)
+    assert np.abs(fits[0].points_px - fits[1].points_px).max() < 2e-3
+    ramp = np.arange(200 * 200, dtype=np.uint16).reshape(200, 200)
+    assert range_of(ramp)[1] == np.inf and range_of(image.astype(np.float32)) == (-np.inf, np.inf)
+    assert range_of(np.zeros((0, 0), np.uint16)) == (-np.inf, np.inf)
 
 
 def test_odd_residuals_are_the_noise_whatever_the_blurs_shape():

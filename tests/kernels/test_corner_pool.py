@@ -48,6 +48,6 @@ def test_pooling_is_the_plain_statement(size, spacing):
 
 
 def test_no_fit_gives_no_noise():
-    pooled = pool_corners(CornerFits(np.full((5, 25), np.nan).view(CORNER_FIT)[:, 0]))
+    pooled = pool_corners(CornerFits(np.full((5, CORNER_FIT.itemsize // 8), np.nan).view(CORNER_FIT)[:, 0]))
     assert np.isnan(pooled.noise_dn) and np.isnan(pooled.points_px).all()
     assert len(pool_corners(CornerFits(np.empty(0, CORNER_FIT))).points_px) == 0

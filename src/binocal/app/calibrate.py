@@ -18,12 +18,10 @@ from binocal.boards import Board
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.errors import DataError
 from binocal.evidence import Detections
-from binocal.findings import Finding, finding
 from binocal.formats import rig_json
 from binocal.result import BoardShape, StereoCalibration
 from binocal.validation.overview import CheckLine
 
-MOST_OF_IMAGES = 0.5  # of a camera, in which the paper saturates, for that to be why its corners lock to the pixels
 SAME_BOARD_SHARE = 0.05  # of the board's size; prints are off by 1 %, bows by 2 %
 
 
@@ -104,11 +102,7 @@ def calibrate_images(
     with explained(found.ignored, found.rejected, found.notes):
         calibration = calibrate(detections, request, calibrator=calibrator, inputs=inputs)
     solved = time.perf_counter()
-    calibration = replace(
-        calibration,
-        rejected=found.rejected + calibration.rejected,
-        findings=_with_burnt_out(calibration.findings, found.burnt_out_share),
-    )
+    calibration = replace(calibration, rejected=found.rejected + calibration.rejected)
     choice = calibration.provenance.get("view_choice")
     notes = (*found.notes, f"{choice['reason']}.") if choice else found.notes
     elapsed_s = {"images": detected - started, "solve": solved - detected, "all": time.perf_counter() - started}
@@ -146,18 +140,6 @@ def calibrate_corners(
     solved = time.perf_counter()
     elapsed_s = {"images": loaded - started, "solve": solved - loaded, "all": solved - started}
     return CalibrationRun(calibration, evidence if is_board else None, elapsed_s=elapsed_s)
-
-
-def _with_burnt_out(findings: tuple[Finding, ...], share: Mapping[str, float]) -> tuple[Finding, ...]:
-    """The findings; where corners lock to the pixels because a camera's paper saturates, that is said."""
-    return tuple(
-        finding("corners-burnt-out", **found.figures, images_percent=100 * share[camera])
-        if found.code == "corners-lock-to-pixels"
-        and share.get(camera := found.figures["camera"], 0.0) > MOST_OF_IMAGES
-        and found.figures["period_px"] == 1
-        else found
-        for found in findings
-    )
 
 
 def _on_measured_board(detections: Detections, shape: BoardShape) -> Detections:

@@ -22,8 +22,6 @@ class FoundCorners:
     ignored: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     input_sha256: Mapping[str, str]
-    burnt_out_share: Mapping[str, float]
-    """Of ``left`` and ``right``: the share of the images with the board in which its paper saturates."""
 
 
 def find_corners(
@@ -55,9 +53,7 @@ def find_corners(
             preprocess=preprocess,
             least_pairs=least_pairs,
         )
-    return FoundCorners(
-        found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256, found.burnt_out_share
-    )
+    return FoundCorners(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
 
 
 def detect_corners(

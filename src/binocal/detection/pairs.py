@@ -18,7 +18,6 @@ from binocal.boards import Board
 from binocal.datasets.folder import ImagePair, Pairing
 from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
-from binocal.detection.measuring.refinement import is_burnt_out
 from binocal.detection.preprocessing import strengthen_edges
 from binocal.detection.unseen_boards import LookedAt, require_board
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
@@ -42,8 +41,6 @@ class PairDetections:
     notes: tuple[str, ...]
     input_sha256: Mapping[str, str] = field(default_factory=dict)
     """Of ``left`` and ``right``: SHA-256 over the name and the SHA-256 of each readable image, in order."""
-    burnt_out_share: Mapping[str, float] = field(default_factory=dict)
-    """Of ``left`` and ``right``: the share of the images with the board in which its paper saturates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +54,6 @@ class _Seen:
     problem: str = ""
     sha256: str = ""
     n_pages: int = 1
-    is_burnt_out: bool = False
 
 
 def detect_pairs(
@@ -127,7 +123,6 @@ def detect_pairs(
         tuple(rejected),
         tuple(notes),
         {side: _digest(images) for side, images in sides.items()},
-        {side: _burnt_out_share(images) for side, images in sides.items()},
     )
 
 
@@ -165,8 +160,7 @@ def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _See
     grey = strengthen_edges(image.grey) if preprocess else image.grey
     found, proved = detect_in_layout(grey, board, layout)
     size_wh = grey.shape[1], grey.shape[0]
-    burnt_out = found.is_found and is_burnt_out(image.grey, found.points_px)
-    return _Seen(path, size_wh, found, proved, sha256=image.sha256, n_pages=image.n_pages, is_burnt_out=burnt_out)
+    return _Seen(path, size_wh, found, proved, sha256=image.sha256, n_pages=image.n_pages)
 
 
 def _agree_on_layout(
@@ -266,11 +260,6 @@ def _page_notes(sides: dict[str, list[_Seen]]) -> list[str]:
 def _one_line(text: str, rejected: Sequence[RejectedView]) -> str:
     first = rejected[0]
     return f"{text}: {first.name}: {first.reason}" + (f" (and {len(rejected) - 1} more)" if len(rejected) > 1 else "")
-
-
-def _burnt_out_share(images: Sequence[_Seen]) -> float:
-    found = [image.is_burnt_out for image in images if image.found is not None and image.found.is_found]
-    return sum(found) / max(len(found), 1)
 
 
 def _digest(images: Sequence[_Seen]) -> str:

@@ -29,6 +29,7 @@ CORNER_FIT = np.dtype(
         ("n_pixels", float),
         ("n_evaluations", float),
         ("long_variance", float),
+        ("clipped_share", float),
     ]
 )
 """The kernel's ``CornerResult``: ``covariance`` is the upper triangle, row by row, of that of x, y and the two slopes."""
@@ -125,6 +126,11 @@ class CornerFits:
         return self.records["long_variance"]
 
     @property
+    def clipped_share(self) -> Float[ndarray, "n"]:
+        """Share of the disc's pixels that are so near an end of the range that their noise is clipped."""
+        return self.records["clipped_share"]
+
+    @property
     def n_evaluations(self) -> Float[ndarray, "n"]:
         """How often the model was evaluated."""
         return self.records["n_evaluations"]
@@ -142,6 +148,24 @@ class BoardPlaces:
     pitch: float = 0.0
 
 
+LEAST_CLIPPED_SHARE = 1e-3  # of a 16-bit image's pixels at its greatest value, for it to be where the sensor clips
+
+
+def range_of(grey: ndarray) -> tuple[float, float]:
+    """The ends of an image's range in grey levels, infinite where none is known: 0 and 255 of 8 bits, of floats none.
+
+    Sensors of 10 to 14 bits clip anywhere in a 16-bit word: the top is the image's greatest value if many pixels have it.
+    Where those are no clipped ones (8-bit greys in 16 bits, drawings) no model of them goes beyond it.
+    """
+    if grey.dtype == np.uint8:
+        return 0.0, 255.0
+    if grey.dtype != np.uint16 or grey.size == 0:
+        return -math.inf, math.inf
+    most = int(grey.max())
+    is_clipped = np.mean(grey[::4, ::4] == most) >= LEAST_CLIPPED_SHARE
+    return 0.0, float(most) if is_clipped else math.inf
+
+
 def fit_corners(
     grey: ndarray,
     points_px: Float[ndarray, "n 2"],
@@ -153,8 +177,9 @@ def fit_corners(
     """Fit a blurred saddle to the grey values (h, w), uint8, uint16 or float32, around each start.
 
     ``reach_px`` is the distance to the nearest edge that is not the corner's own, ``strip_px`` that from the corner's
-    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``. With the corners'
-    places on the board their edges are the curves that the image's lens makes of straight ones: ``board_corners.hpp``.
+    edges to what is printed inside the squares (inf: nothing). Model and formulas: ``corner_fit.hpp``; grey values at the
+    ends of the range (:func:`range_of`) are taken for clipped. With the corners' places on the board their edges are the
+    curves that the image's lens makes of straight ones: ``board_corners.hpp``.
 
     Raises:
         ValueError: The image is of another type or shape.
@@ -165,7 +190,10 @@ def fit_corners(
     inputs["point_px"], inputs["reach_px"], inputs["strip_px"] = points_px, reach_px, strip_px
     records = np.empty(len(inputs), CORNER_FIT)
     xy, pitch = (None, 0.0) if board is None else (board.xy, float(board.pitch))
-    _kernel.fit_corners(np.ascontiguousarray(grey), _numbers(inputs), as_floats(xy), pitch, _numbers(records))
+    bottom, top = range_of(grey)
+    _kernel.fit_corners(
+        np.ascontiguousarray(grey), bottom, top, _numbers(inputs), as_floats(xy), pitch, _numbers(records)
+    )
     return CornerFits(records)
 
 

@@ -150,7 +150,10 @@ def _without_irregular(
 
 
 def _look_again(shot: BoardImage, level: SearchLevel, measured: _Measured, shape: tuple[int, ...]) -> _Measured:
-    """With the corners that are missing, from where the others say that they are: a lattice may be wrong in places."""
+    """With the corners that are missing, from where the others say that they are: a lattice may be wrong in places.
+
+    They are fitted beside the others, whose image shows how the lens bends the edges.
+    """
     xy, seen = shot.board_xy, measured.is_seen
     spacing_px = float(np.nanmedian(grid_spacing(measured.points_px.reshape(shape))))
     expected = expected_points(xy, measured.points_px, spacing_px, shot.size_wh)
@@ -159,7 +162,8 @@ def _look_again(shot: BoardImage, level: SearchLevel, measured: _Measured, shape
     whole = np.where(seen[:, None], measured.points_px, expected).reshape(shape)
     spacing, reach = grid_spacing(whole).ravel(), grid_reach(whole).ravel()
     coarse = localize_saddles(shot.image, np.where(seen[:, None], np.nan, expected), spacing)
-    found, of_found, cross_of_found = measure_corners(shot.grey, coarse, shot.places, reach)
+    starts = np.where(seen[:, None], measured.points_px, coarse)
+    found, of_found, cross_of_found = measure_corners(shot.grey, starts, shot.places, reach)
     is_near = np.linalg.norm(found - expected, axis=1) < MAX_MOVE * spacing
     points = np.where(seen[:, None], measured.points_px, np.where(is_near[:, None], found, np.nan))
     covariance = np.where(seen[:, None, None], measured.covariance_px2, of_found)

@@ -18,11 +18,10 @@ EFFICIENCY_LOSS = (
     3.0  # cornerSubPix over the bound; 2.6 to 3.7 on simulated corners with blur 0.6 to 1.5 px, noise 1 to 5
 )
 FLOOR_PX = 0.015  # its bias on exact corners
-# Paper that saturates by far leaves edges too sharp for the pixels and the dark squares apart: 0.03 to 0.08 px on rendered
-# boards, exposed 2 to 6 times too long, with blurs of 0.6 to 1.5 px.
+# What cornerSubPix is off by where paper saturates by far, and the dark squares lie apart: 0.03 to 0.08 px on rendered boards, exposed
+# 2 to 6 times too long, with blurs of 0.6 to 1.5 px. The corner fit knows of it (corner_fit.hpp).
 BURNT_OUT_PX = 0.06
 BURNT_OUT_SHARE = 0.2  # of a corner's window at the top of the range, for it to be so
-LEAST_SATURATED_SHARE = 0.005  # of an image's pixels: less is no board's paper, and need not be looked for
 
 
 def measure_corners(
@@ -155,16 +154,6 @@ def corner_covariance(
         variance[index] = np.minimum(EFFICIENCY_LOSS**2 * bound + FLOOR_PX**2, (0.5 * size) ** 2)
     variance[_are_burnt_out(grey, points_px, spacing_px, per_spacing)] += BURNT_OUT_PX**2
     return variance[:, None, None] * np.where(np.isfinite(variance)[:, None, None], np.eye(2), np.nan)
-
-
-def is_burnt_out(grey: ndarray, points_px: Float[ndarray, "n 2"]) -> bool:
-    """Whether the paper saturates beside most of the points that were seen, NaN where not."""
-    seen = points_px[np.isfinite(points_px[:, 0])]
-    sample = np.ascontiguousarray(grey[::8, ::8])
-    if len(seen) < 2 or np.mean(sample >= _top_of(grey)) < LEAST_SATURATED_SHARE:
-        return False
-    apart = np.linalg.norm(seen[:, None] - seen, axis=-1) + np.where(np.eye(len(seen)), np.inf, 0.0)
-    return bool(np.mean(_are_burnt_out(grey, seen, apart.min(axis=1), WINDOW_PER_SPACING)) > 0.5)
 
 
 def _top_of(grey: ndarray) -> float:

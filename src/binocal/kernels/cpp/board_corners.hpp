@@ -17,6 +17,9 @@ constexpr std::size_t kMinCornersForAll = 10;  // of the lens's unknowns; below 
 constexpr double kMostOffLens_px = 1.0;        // median distance from the lens: beyond it the image is no plane's
 constexpr double kStraight_px = 0.003;         // edges that would move no corner by more bend the reach too little to count
 constexpr double kBent_px = 0.006;             // beyond it what is left along the edges would count as noise
+// The same beside clipped paper: there the light's slope shifts both arms of an edge to one side, and takes the place of the bend, so
+// that what a bent edge moves the corner by is not known before.
+constexpr double kBentClipped_px = 0.0003;
 constexpr double kTouching = 0.9;              // of the reach by the lens: a first disc beyond it may hold a neighbour's edge
 constexpr double kDerivativeStep = 0.05;       // pitches
 constexpr double kLineHalf = 1.3;              // pitches, from the middle of a neighbouring line to where it ends
@@ -122,22 +125,21 @@ struct BoardPlaces {
 // A corner whose first disc, by the reach that the caller knew, held one of the bent lines beside it: again from where the others'
 // lens sees it, with the reach by that lens. A corner that failed for anything else stays as it is.
 template <typename Pixel>
-CornerResult fit_off_lines(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, CornerInput input,
-                           const CornerResult& nowhere, const ImageLens& lens, const double (&at)[2], double pitch,
-                           bool looks_at_noise, Workspace& work) {
+CornerResult fit_off_lines(const ImageView<Pixel>& image, CornerInput input, const CornerResult& nowhere, const ImageLens& lens,
+                           const double (&at)[2], double pitch, bool looks_at_noise, Workspace& work) {
     const double start[2] = {input.x, input.y};
     if (!lens.project(lens.direction(at[0], at[1]), 6, input.x, input.y)) return nowhere;
     if (!(std::hypot(input.x - start[0], input.y - start[1]) < std::max(1.5, 0.5 * input.reach))) return nowhere;
     const double reach = reach_by_lens(lens, at[0], at[1], pitch, input.x, input.y);
     if (!(kDiscShare * input.reach > kTouching * reach)) return nowhere;
     input.reach = reach;
-    return CornerFitter<Pixel>(image, height, width, input, work, looks_at_noise).fit();
+    return CornerFitter<Pixel>(image, input, work, looks_at_noise).fit();
 }
 
 template <typename Pixel>
-void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput* inputs, std::ptrdiff_t n,
-                       const BoardPlaces& board, CornerResult* results) {
-    fit_corners(image, height, width, inputs, n, results);
+void fit_board_corners(const ImageView<Pixel>& image, const CornerInput* inputs, std::ptrdiff_t n, const BoardPlaces& board,
+                       CornerResult* results) {
+    fit_corners(image, inputs, n, results);
     std::vector<LensPoint> points;
     double extent = 0;
     for (std::ptrdiff_t i = 0; i < n; ++i) {
@@ -148,7 +150,7 @@ void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t
     if (points.size() < kMinCornersForLens || !(extent > 0) || !std::isfinite(extent)) return;
     LensOptions options;
     options.n_unknowns = points.size() < kMinCornersForAll ? 1 : 6;
-    ImageLensFit fitted(points, static_cast<double>(width), static_cast<double>(height), options);
+    ImageLensFit fitted(points, static_cast<double>(image.width), static_cast<double>(image.height), options);
     if (!fitted.fit()) return;
     std::vector<double> lengths = fitted.lengths();
     std::nth_element(lengths.begin(), lengths.begin() + lengths.size() / 2, lengths.end());
@@ -175,7 +177,7 @@ void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t
     const std::ptrdiff_t every = (n + kCornersForNoise - 1) / kCornersForNoise;
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         if (is_straight || !(board.pitch > 0) || std::isfinite(results[i].x)) continue;
-        results[i] = fit_off_lines<Pixel>(image, height, width, inputs[i], results[i], lens, {board.xy[2 * i], board.xy[2 * i + 1]},
+        results[i] = fit_off_lines<Pixel>(image, inputs[i], results[i], lens, {board.xy[2 * i], board.xy[2 * i + 1]},
                                           board.pitch, is_picked(i, every), work);
         bend_at(i);
     }
@@ -188,11 +190,11 @@ void fit_board_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t
             touches = results[i].radius > kTouching * reach;
             input.reach = std::min(input.reach, reach);
         }
-        if (touches || offset_of(i) > kBent_px) {
+        if (touches || offset_of(i) > (results[i].clipped_share > 0 ? kBentClipped_px : kBent_px)) {
             double bend[2];
             attach(results[i], bends[i], bend);
             input.x = results[i].x, input.y = results[i].y;
-            const CornerResult again = CornerFitter<Pixel>(image, height, width, input, work, is_picked(i, every)).fit_bent(results[i], bend);
+            const CornerResult again = CornerFitter<Pixel>(image, input, work, is_picked(i, every)).fit_bent(results[i], bend);
             if (std::isfinite(again.x)) {
                 results[i] = again;
                 continue;

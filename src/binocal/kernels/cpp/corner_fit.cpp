@@ -11,25 +11,26 @@ template <typename Pixel>
 using Image = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
 
 template <typename Pixel>
-void fit(const Image<Pixel>& image, const Doubles& inputs, const Doubles& board_xy, double pitch, DoublesOut results) {
+void fit(const Image<Pixel>& image, double bottom, double top, const Doubles& inputs, const Doubles& board_xy, double pitch,
+         DoublesOut results) {
     const std::size_t n = inputs.size() / kInputSize;
     if (inputs.size() != kInputSize * n || results.size() != kResultSize * n)
-        throw nb::value_error("inputs must be (n, 4) and results (n, 25)");
+        throw nb::value_error("inputs must be (n, 4) and results (n, 26)");
     require(board_xy.size() == 0 || board_xy.size() == 2 * n, "board_xy must be (n, 2) or empty");
-    const Pixel* pixels = image.data();
-    const auto height = static_cast<std::ptrdiff_t>(image.shape(0)), width = static_cast<std::ptrdiff_t>(image.shape(1));
+    const ImageView<Pixel> view{image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
+                                bottom, top};
     nb::gil_scoped_release unlocked;
     const auto* starts = reinterpret_cast<const CornerInput*>(inputs.data());
     auto* fits = reinterpret_cast<CornerResult*>(results.data());
     const auto n_corners = static_cast<std::ptrdiff_t>(n);
-    if (board_xy.size() == 0) return fit_corners(pixels, height, width, starts, n_corners, fits);
-    fit_board_corners(pixels, height, width, starts, n_corners, BoardPlaces{board_xy.data(), pitch}, fits);
+    if (board_xy.size() == 0) return fit_corners(view, starts, n_corners, fits);
+    fit_board_corners(view, starts, n_corners, BoardPlaces{board_xy.data(), pitch}, fits);
 }
 
 double pool(const Doubles& fits, DoublesOut pooled) {
     const std::size_t n = fits.size() / kResultSize;
     if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n)
-        throw nb::value_error("fits must be (n, 25) and results (n, 11)");
+        throw nb::value_error("fits must be (n, 26) and results (n, 11)");
     nb::gil_scoped_release unlocked;
     return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n,
                         reinterpret_cast<PooledCorner*>(pooled.data()));
@@ -53,6 +54,7 @@ nb::dict record_layouts() {
     fit["n_pixels"] = offsetof(CornerResult, n_pixels);
     fit["n_evaluations"] = offsetof(CornerResult, n_evaluations);
     fit["long_variance"] = offsetof(CornerResult, long_variance);
+    fit["clipped_share"] = offsetof(CornerResult, clipped_share);
     pooled["point_px"] = offsetof(PooledCorner, x);
     pooled["covariance_px2"] = offsetof(PooledCorner, covariance);
     pooled["cross_covariance_px2"] = offsetof(PooledCorner, cross);

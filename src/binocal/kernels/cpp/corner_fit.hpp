@@ -8,6 +8,13 @@
 // Eleven parameters: c (2), two edge angles, two log blurs, a, b, g (2), q. Each edge has its own blur, for motion; q is the
 // first order of a tone curve (gamma, saturation). Both are even under u -> -u, as all but c and g are, so they cost the
 // position nothing. Pixel integration adds 1/12 px^2 to the blurs' squares, which the fit absorbs.
+// Grey values beyond the range's ends are clipped to them, the noise with them: where m is normal with the mean m0 = grey value and the
+// noise's standard deviation, the value to expect at the top t is E[min(m, t)] = m0 - s (phi(z) + z Phi(z)), z = (m0 - t) / s (the mean
+// of a censored normal: Greene 2012, Econometric Analysis, theorem 19.3), and it follows m0 by the share 1 - Phi(z) that is not clipped.
+// A disc with clipped values is fitted by that expectation at both ends: values far beyond the top say no more than that they are there,
+// and as the model is smooth and bounded, neither noise that was clipped nor a compression's ringing at the top pulls the corner. Edges of
+// clipped paper seem to lie in the ink, on opposite arms of an edge towards opposite sides: that the arms are one line tells the paper's
+// level, where blur and level alone would trade.
 // An edge that a lens bends by a known curvature k has d = (n.u - k / 2 ((t.u)^2 + sigma^2)) / sigma, t along it: the last term
 // is what blur moves a bent edge by, towards its centre of curvature.
 #pragma once
@@ -22,6 +29,7 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <type_traits>
 
 // The two inner loops are compiled twice where the compiler can: for every machine, and for those with AVX2.
 // (target_clones would be shorter, but GCC splits vectors for the plain machine before it clones: 4 times slower.)
@@ -39,12 +47,13 @@ constexpr double kFirstRadius = 7;
 constexpr double kDiscShare = 0.85;  // of the reach, of the disc's radius
 constexpr int kSide = 2 * kMaxRadius + 3;
 constexpr int kMaxPixels = ((kSide * kSide + kLanes - 1) / kLanes) * kLanes;
-constexpr int kMaxEvaluations = 25;
+constexpr int kMaxEvaluations = 25, kMaxClippedEvaluations = 40;  // a level that is clipped is found from far below
 constexpr double kLastStep = 0.008;  // px
 // In a large disc, whose many pixels make the cost smooth, a step need not be evaluated to be the last, its residuals being
 // those that the Jacobian predicts, if it is short, px, or below this many standard deviations of the parameters together and
 // so much shorter than the one before that the next would be nothing.
 constexpr double kLastStepUnseen = 0.004, kLastStepOfSigma = 1, kLastStepAtMost = 0.03, kLastStepShrinks = 0.25;
+constexpr double kLastClippedStepOfSigma = 0.3;  // of all parameters together: ended by the corner's own step, levels were 20 % off
 constexpr double kLeastLogBlur = -1.386;  // ln 0.25: pixel integration alone is 0.29 px, a sharpened image's less
 
 enum Parameter { kX, kY, kAngle1, kAngle2, kBlur1, kBlur2, kOffset, kContrast, kSlopeX, kSlopeY, kTone };
@@ -62,8 +71,9 @@ struct CornerResult {
     double radius, n_pixels;  // px, and the sum of the weights
     double n_evaluations;
     double long_variance;     // grey levels^2: of noise that is alike in neighbouring pixels, as it moves the corner; NaN if not measured
+    double clipped_share;     // of the disc: pixels so near an end of the range that their noise is clipped
 };
-constexpr int kResultSize = 25;
+constexpr int kResultSize = 26;
 static_assert(sizeof(CornerResult) == kResultSize * sizeof(double));
 
 // Gauss-Legendre nodes and weights on [0, 1].
@@ -86,6 +96,7 @@ struct alignas(32) Patch {
     float u[kMaxPixels], v[kMaxPixels];  // whole pixels from `column`, `row`
     float value[kMaxPixels];             // in units of the start's contrast
     int column, row;
+    bool is_clipped;  // holds values at an end of the range
     int n_vectors;
     int n_rows;
     struct {
@@ -99,9 +110,21 @@ struct Region {
     double bend[2] = {0, 0};  // 1/px: the edges' curvatures, towards their normals
 };
 
+// The ends of the range, and the standard deviation of the noise before it is clipped there; in the patch's unit.
+struct Clipping {
+    double bottom, top, noise;
+};
+constexpr float kClear = 0.98f;  // of a change that is seen: pixels that show less are near an end of the range, their noise clipped
+constexpr double kFirstNoise = 0.05, kMostNoise = 0.1;  // of the start's half contrast
+constexpr double kLeastNoise_dn = 0.29;                 // rounding's
+constexpr double kNoiseStep = 1.3;                      // the noise is taken anew where it has changed by more than this factor
+constexpr int kLastNoiseEvaluation = 10;
+
 struct Equations {
     double gram[kColumns][kColumns];
-    double weight_sum;
+    double weight_sum;   // of the pixels whose noise is not clipped
+    double mean_square;  // of all residuals: what is minimised
+    double noise2;       // mean square of the residuals that are not clipped
 };
 
 constexpr int kNear = 2;                  // px: noise further apart counts as independent
@@ -114,12 +137,21 @@ struct Workspace {
     alignas(32) float columns[kColumns][kMaxPixels];
     alignas(32) float weights[kMaxPixels];
     alignas(32) float moves[2][kMaxPixels];
+    double disc, clear_squares;  // of a clipped patch: the sum of all weights, and of the squared residuals that are not clipped
+};
+
+// An image of (height, width) and the ends of its range: values there may be clipped.
+template <typename Pixel>
+struct ImageView {
+    const Pixel* pixels;
+    std::ptrdiff_t height, width;
+    double bottom, top;  // infinite where nothing clips; of floats no range is known
 };
 
 constexpr double kSlack = 0.3;  // px: pixels are gathered again when the corner has moved farther
 
 template <typename Pixel>
-void gather(const Pixel* image, std::ptrdiff_t width, double x, double y, double radius, double scale, Patch& patch) {
+void gather(const ImageView<Pixel>& image, double x, double y, double radius, double scale, Patch& patch) {
     patch.x = x;
     patch.y = y;
     patch.radius = radius;
@@ -127,20 +159,28 @@ void gather(const Pixel* image, std::ptrdiff_t width, double x, double y, double
     patch.row = static_cast<int>(std::lround(y));
     const double limit = radius + 0.5 + kSlack;
     const float gain = static_cast<float>(scale);
+    Pixel least = std::numeric_limits<Pixel>::max(), most = std::numeric_limits<Pixel>::lowest();
     int n = 0;
     patch.n_rows = 0;
     for (int row = static_cast<int>(std::ceil(y - limit)); row <= y + limit; ++row) {
         double half = std::sqrt(std::max(0.0, limit * limit - (row - y) * (row - y)));
         int first = static_cast<int>(std::ceil(x - half)), last = static_cast<int>(std::floor(x + half));
-        const Pixel* line = image + row * width;
+        const Pixel* line = image.pixels + row * image.width;
         float v = static_cast<float>(row - patch.row);
         patch.rows[patch.n_rows++] = {first - patch.column, row - patch.row, n, last - first + 1};
+        if constexpr (std::is_integral_v<Pixel>) {
+            for (int column = first; column <= last; ++column) {
+                least = std::min(least, line[column]);
+                most = std::max(most, line[column]);
+            }
+        }
         for (int column = first; column <= last; ++column, ++n) {
             patch.u[n] = static_cast<float>(column - patch.column);
             patch.v[n] = v;
             patch.value[n] = static_cast<float>(line[column]) * gain;
         }
     }
+    patch.is_clipped = std::is_integral_v<Pixel> && (least <= image.bottom || most >= image.top);
     while (n % kLanes) {
         patch.u[n] = patch.v[n] = 1000.0f;  // outside every disc
         patch.value[n] = 0.0f;
@@ -161,11 +201,11 @@ namespace avx2 {
 #pragma GCC pop_options
 #endif
 
-inline void linearize(Workspace& work, const double* p, const Region& region) {
+inline void linearize(Workspace& work, const double* p, const Region& region, const Clipping& clipping) {
 #if defined(BINOCAL_AVX2)
-    if (has_avx2()) return avx2::linearize(work, p, region);
+    if (has_avx2()) return avx2::linearize(work, p, region, clipping);
 #endif
-    portable::linearize(work, p, region);
+    portable::linearize(work, p, region, clipping);
 }
 
 inline void multiply(const Workspace& work, Equations& out) {
@@ -200,14 +240,17 @@ inline void solve(const double (&L)[kParameters][kParameters], const double* b, 
 }
 
 // The information matrix, with weak priors on what small windows cannot tell: the two blurs' difference and the tone.
-inline void information(const Equations& e, const double* p, double noise2, double (&A)[kParameters][kParameters],
-                        double* gradient) {
-    constexpr double kBlurSpread = 0.3, kToneSpread = 0.15;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
+//
+// Where values are clipped the tone is held near none: a level beyond the range and a tone that saturates explain the same.
+inline void information(const Equations& e, const double* p, bool is_clipped, double (&A)[kParameters][kParameters], double* gradient) {
+    constexpr double kBlurSpread = 0.3;  // standard deviations; motion of 2 px at sigma 0.8 gives 0.25
+    constexpr double kToneSpread = 0.15, kClippedToneSpread = 0.02;
     for (int i = 0; i < kParameters; ++i) {
         for (int j = 0; j < kParameters; ++j) A[i][j] = e.gram[i][j];
         gradient[i] = e.gram[i][kParameters];
     }
-    double blur = noise2 / (kBlurSpread * kBlurSpread), tone = noise2 / (kToneSpread * kToneSpread);
+    const double spread = is_clipped ? kClippedToneSpread : kToneSpread;
+    double blur = e.noise2 / (kBlurSpread * kBlurSpread), tone = e.noise2 / (spread * spread);
     double difference = p[kBlur1] - p[kBlur2];
     A[kBlur1][kBlur1] += blur;
     A[kBlur2][kBlur2] += blur;
@@ -229,8 +272,7 @@ inline void subtract(Workspace& work, const double* step) {
 
 // Where edges, levels and contrast begin, read on two rings around the corner; false where there is no saddle.
 template <typename Pixel>
-bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double radius, double* p, double& offset,
-           double& contrast) {
+bool start(const ImageView<Pixel>& image, double x, double y, double radius, double* p, double& offset, double& contrast) {
     constexpr int n = 32;  // over half a turn: opposite samples are averaged
     constexpr double pi = 3.14159265358979;
     static const auto circle = [] {
@@ -245,8 +287,8 @@ bool start(const Pixel* image, std::ptrdiff_t width, double x, double y, double 
             double px = x + r * c, py = y + r * s;  // positive: the ring lies inside the image
             int column = static_cast<int>(px), row = static_cast<int>(py);
             double a = px - column, b = py - row;
-            const Pixel* at = image + row * width + column;
-            sum += (1 - b) * ((1 - a) * at[0] + a * at[1]) + b * ((1 - a) * at[width] + a * at[width + 1]);
+            const Pixel* at = image.pixels + row * image.width + column;
+            sum += (1 - b) * ((1 - a) * at[0] + a * at[1]) + b * ((1 - a) * at[image.width] + a * at[image.width + 1]);
         }
         ring[k] = sum / 4;
     }
@@ -344,9 +386,8 @@ static_assert(sizeof(CornerInput) == kInputSize * sizeof(double));
 template <typename Pixel>
 class CornerFitter {
   public:
-    CornerFitter(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput& input, Workspace& work,
-                 bool looks_at_noise)
-        : image_(image), height_(height), width_(width), input_(input), work_(work), looks_at_noise_(looks_at_noise),
+    CornerFitter(const ImageView<Pixel>& image, const CornerInput& input, Workspace& work, bool looks_at_noise)
+        : image_(image), input_(input), work_(work), looks_at_noise_(looks_at_noise),
           is_large_(kDiscShare * input.reach > 1.4 * kFirstRadius),
           greatest_(is_large_ ? kFirstRadius : kMaxRadius),  // a small disc until the corner is nearly there costs half or less
           farthest_(std::max(1.5, 0.5 * input.reach)) {}
@@ -368,12 +409,14 @@ class CornerFitter {
         CornerResult result;
         if (has_begun) {
             Progress progress = Progress::running;
-            while (progress == Progress::running && n_evaluations_ < kMaxEvaluations) progress = iterate();
+            while (progress == Progress::running && n_evaluations_ < most_evaluations()) progress = iterate();
             if (progress == Progress::done && is_a_corner() && describe(result)) return result;
         }
         std::fill_n(reinterpret_cast<double*>(&result), kResultSize, std::numeric_limits<double>::quiet_NaN());
         return result;
     }
+
+    int most_evaluations() const { return work_.patch.is_clipped ? kMaxClippedEvaluations : kMaxEvaluations; }
 
     struct Step {
         double change[kParameters], next[kParameters];
@@ -388,7 +431,9 @@ class CornerFitter {
     };
 
     // How far the disc may reach from there so that it and its soft edge stay inside the image, px.
-    double margin(double x, double y) const { return std::min(std::min(x, width_ - 1 - x), std::min(y, height_ - 1 - y)) - 1.9; }
+    double margin(double x, double y) const {
+        return std::min(std::min(x, image_.width - 1 - x), std::min(y, image_.height - 1 - y)) - 1.9;
+    }
 
     Region region_of(double x, double y, double blur) const {
         double radius = std::min({greatest_, kDiscShare * input_.reach, input_.reach - 2 * blur});
@@ -404,14 +449,16 @@ class CornerFitter {
         if (!(region_.radius >= kMinRadius)) return false;
         double offset = 0;
         const double ring = std::min(region_.radius, std::max(kMinRadius, 1.8 * input_.strip));
-        if (!start(image_, width_, input_.x, input_.y, ring, p_, offset, contrast_)) return false;
+        if (!start(image_, input_.x, input_.y, ring, p_, offset, contrast_)) return false;
         if (first) {
             p_[kAngle1] = first->angle1, p_[kAngle2] = first->angle2;
             p_[kBlur1] = std::log(first->blur1), p_[kBlur2] = std::log(first->blur2);
             p_[kContrast] = first->contrast / contrast_;
             p_[kSlopeX] = first->gx, p_[kSlopeY] = first->gy;
+            if (first->clipped_share > 0) p_[kOffset] += p_[kContrast] - 1;  // the ring shows the ink's level, and clipped paper
         }
         work_.patch.radius = 0;  // holds another corner
+        clipping_ = Clipping{image_.bottom / contrast_, image_.top / contrast_, kFirstNoise};
         cost_ = evaluate(p_, current_);
         n_evaluations_ = 1;
         return true;
@@ -421,10 +468,14 @@ class CornerFitter {
     BINOCAL_INLINE double evaluate(const double* at, Equations& equations) {
         const Patch& patch = work_.patch;
         if (patch.radius != region_.radius || std::hypot(at[kX] - patch.x, at[kY] - patch.y) > kSlack)
-            gather(image_, width_, at[kX], at[kY], region_.radius, 1 / contrast_, work_.patch);
-        linearize(work_, at, region_);
+            gather(image_, at[kX], at[kY], region_.radius, 1 / contrast_, work_.patch);
+        linearize(work_, at, region_, clipping_);
         multiply(work_, equations);
-        return equations.gram[kParameters][kParameters] / std::max(equations.weight_sum, 1e-9);
+        const double squares = equations.gram[kParameters][kParameters];
+        equations.mean_square = squares / std::max(patch.is_clipped ? work_.disc : equations.weight_sum, 1e-9);
+        equations.noise2 =
+            patch.is_clipped ? work_.clear_squares / std::max(equations.weight_sum, 1e-9) : equations.mean_square;
+        return equations.mean_square;
     }
 
     BINOCAL_INLINE Progress iterate() {
@@ -432,7 +483,7 @@ class CornerFitter {
         if (!propose(step)) return damp(1e-3, 1e6);
         if (!stays(step.next)) return Progress::failed;
         const bool may_end = greatest_ == kMaxRadius && step.shrink == 1 && damping_ < 0.1;
-        if (is_large_ && may_end && is_short(step) && is_linearized_here_ && step.blurs_hold(0.01)) {
+        if (is_large_ && may_end && is_short(step) && is_linearized_here_ && step.blurs_hold(0.01) && levels_hold(step)) {
             end_unseen(step);
             return Progress::done;
         }
@@ -442,14 +493,15 @@ class CornerFitter {
         // Pixels enter and leave the disc as the corner moves: near the minimum a rise of that size is none.
         if (!(cost <= cost_ * (1 + 1e-6) || (step.moved < 0.05 && cost < cost_ * (1 + 3e-3)))) return damp(1e-2, 1e7);
         accept(step, cost);
-        if (may_end && step.moved < kLastStep && step.blurs_hold(is_large_ ? 0.02 : 0.05)) return Progress::done;
+        if (may_end && step.moved < kLastStep && step.blurs_hold(is_large_ ? 0.02 : 0.05) && levels_hold(step))
+            return Progress::done;
         return follow(step.moved) ? Progress::running : Progress::failed;
     }
 
     // The damped step, shortened where it would be wild; false where its equations are singular.
     BINOCAL_INLINE bool propose(Step& step) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters];
-        information(current_, p_, cost_, A, gradient);
+        information(current_, p_, work_.patch.is_clipped, A, gradient);
         for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping_;
         if (!factorize(A, L)) return false;
         double* change = step.change;
@@ -483,7 +535,13 @@ class CornerFitter {
     // So short that nothing would be seen by evaluating it.
     bool is_short(const Step& step) const {
         return step.moved < kLastStepUnseen || (step.moved < kLastStepAtMost && step.moved < kLastStepShrinks * last_moved_ &&
-                                                step.decrement < kLastStepOfSigma * kLastStepOfSigma * cost_);
+                                                step.decrement < kLastStepOfSigma * kLastStepOfSigma * current_.noise2);
+    }
+
+    // Where the paper is clipped its level is known from the edges alone, and found last.
+    bool levels_hold(const Step& step) const {
+        constexpr double most = kLastClippedStepOfSigma * kLastClippedStepOfSigma;
+        return !work_.patch.is_clipped || step.decrement < most * current_.noise2;
     }
 
     // The last step, its residuals as the Jacobian predicts them.
@@ -491,7 +549,7 @@ class CornerFitter {
         for (int i = 0; i < kParameters; ++i) step.change[i] = step.next[i] - p_[i];
         subtract(work_, step.change);
         std::copy(step.next, step.next + kParameters, p_);
-        cost_ = std::max(cost_ - step.decrement / current_.weight_sum, 0.0);
+        current_.noise2 = std::max(current_.noise2 - step.decrement / current_.weight_sum, 0.0);
     }
 
     Progress damp(double least, double most) {
@@ -505,7 +563,19 @@ class CornerFitter {
         std::copy(step.next, step.next + kParameters, p_);
         current_ = trial_;
         cost_ = cost;
+        if (work_.patch.is_clipped) follow_noise();
         damping_ = std::max(damping_ * 0.1, 1e-6);
+    }
+
+    // The noise that is clipped is that of the pixels where it is not.
+    void follow_noise() {
+        const double left = std::max(current_.weight_sum - kParameters, 0.25 * current_.weight_sum);
+        const double found = std::sqrt(current_.noise2 * current_.weight_sum / std::max(left, 1.0));
+        const double noise = std::max(std::min(found, kMostNoise), kLeastNoise_dn / contrast_);
+        if (n_evaluations_ >= kLastNoiseEvaluation || std::fabs(std::log(noise / clipping_.noise)) < std::log(kNoiseStep)) return;
+        clipping_.noise = noise;
+        cost_ = evaluate(p_, current_);
+        ++n_evaluations_;
     }
 
     // The disc follows the blur that is found, then stays; false where the image leaves no place for one.
@@ -532,7 +602,7 @@ class CornerFitter {
     // What is written of the fit; false where its information is singular.
     bool describe(CornerResult& r) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
-        information(current_, p_, cost_, A, gradient);
+        information(current_, p_, work_.patch.is_clipped, A, gradient);
         if (!factorize(A, L)) return false;
         constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
         for (int i = 0; i < 4; ++i) {
@@ -545,7 +615,7 @@ class CornerFitter {
         r.gx = p_[kSlopeX], r.gy = p_[kSlopeY];
         for (int i = 0, k = 0; i < 4; ++i)
             for (int j = i; j < 4; ++j) r.covariance[k++] = inverse[i][shown[j]] / unit;
-        r.variance = cost_ * current_.weight_sum / std::max(1.0, current_.weight_sum - kParameters) * unit;
+        r.variance = current_.noise2 * current_.weight_sum / std::max(1.0, current_.weight_sum - kParameters) * unit;
         r.odd_variance = odd_variance(work_, p_, r.variance / unit) * unit;
         r.long_variance = looks_at_noise_ ? long_variance(work_, inverse, p_, region_.radius) * unit
                                           : std::numeric_limits<double>::quiet_NaN();
@@ -554,12 +624,12 @@ class CornerFitter {
         r.angle1 = p_[kAngle1], r.angle2 = p_[kAngle2];
         r.radius = region_.radius;
         r.n_pixels = current_.weight_sum;
+        r.clipped_share = work_.patch.is_clipped ? 1 - current_.weight_sum / std::max(work_.disc, 1e-9) : 0;
         r.n_evaluations = n_evaluations_;
         return true;
     }
 
-    const Pixel* image_;
-    std::ptrdiff_t height_, width_;
+    const ImageView<Pixel>& image_;
     CornerInput input_;
     Workspace& work_;
     bool looks_at_noise_;  // whether its neighbouring pixels' noise is alike
@@ -567,6 +637,7 @@ class CornerFitter {
     double greatest_;   // px, of the disc's radius
     double farthest_;   // px, from the start
     Region region_{};
+    Clipping clipping_{};
     double p_[kParameters]{};
     double contrast_ = 0;  // of the start, grey levels: the unit of values and costs
     Equations current_, trial_;
@@ -582,12 +653,11 @@ inline bool is_picked(std::ptrdiff_t i, std::ptrdiff_t every) {
 }
 
 template <typename Pixel>
-void fit_corners(const Pixel* image, std::ptrdiff_t height, std::ptrdiff_t width, const CornerInput* inputs, std::ptrdiff_t n,
-                 CornerResult* results) {
+void fit_corners(const ImageView<Pixel>& image, const CornerInput* inputs, std::ptrdiff_t n, CornerResult* results) {
     alignas(32) static thread_local Workspace work;
     const std::ptrdiff_t every = (n + kCornersForNoise - 1) / kCornersForNoise;
     for (std::ptrdiff_t i = 0; i < n; ++i) {
-        results[i] = CornerFitter<Pixel>(image, height, width, inputs[i], work, is_picked(i, every)).fit();
+        results[i] = CornerFitter<Pixel>(image, inputs[i], work, is_picked(i, every)).fit();
     }
 }
 

@@ -111,9 +111,19 @@ BINOCAL_INLINE Lane error_function(Lane x, Lane gauss) {
 
 constexpr float kFar = 5.0f;  // sigmas: beyond it 6e-7 of the contrast is left
 
-// Fill the Jacobian's columns, the residual's and the weights; each column is multiplied by the root of the weight.
-template <bool is_bent>
-inline void linearize_as(Workspace& work, const double* p, const Region& region) {
+// E[max(n - distance, 0)] of a normal n with mean 0: what an end of the range takes away that lies so far off; and the share beyond it.
+BINOCAL_INLINE Lane clipped_away(Lane distance, Lane noise, Lane over_noise, Lane& beyond) {
+    const Lane far = splat(8.0f), zero = splat(0.0f);
+    const Lane z = min_of(max_of(distance * over_noise, zero - far), far);
+    const Lane gauss = exponential(splat(-0.5f) * z * z);
+    beyond = splat(0.5f) - splat(0.5f) * error_function(z, gauss);
+    return max_of(noise * (splat(0.39894228f) * gauss - z * beyond), zero - distance);
+}
+
+// Fill the Jacobian's columns, the residual's and the weights; each column is multiplied by the root of the weight. Where values are
+// clipped the weights kept are those of the pixels whose noise is not.
+template <bool is_bent, bool is_clipped>
+inline void linearize_as(Workspace& work, const double* p, const Region& region, const Clipping& clipping) {
     const Patch& patch = work.patch;
     double s1 = std::exp(-p[kBlur1]), s2 = std::exp(-p[kBlur2]);
     double c1 = std::cos(p[kAngle1]), n1 = std::sin(p[kAngle1]), c2 = std::cos(p[kAngle2]), n2 = std::sin(p[kAngle2]);
@@ -139,6 +149,9 @@ inline void linearize_as(Workspace& work, const double* p, const Region& region)
     const Lane bend1 = constant(0.5 * region.bend[0] / s1), bend2 = constant(0.5 * region.bend[1] / s2);
     const Lane turn1 = constant(region.bend[0] / s1), turn2 = constant(region.bend[1] / s2);  // k sigma
     const Lane edge = constant(region.radius + 0.5), strip = constant(std::min(region.strip, 100.0) + 0.5);
+    const Lane top = constant(clipping.top), bottom = constant(clipping.bottom);
+    const Lane noise = constant(clipping.noise), over_noise = constant(1 / clipping.noise);
+    Lane disc = zero, clear_squares = zero;
     for (int i = 0; i < patch.n_vectors; ++i) {
         const int at = i * kLanes;
         Lane u = load(patch.u + at) - fx, v = load(patch.v + at) - fy;
@@ -187,6 +200,21 @@ inline void linearize_as(Workspace& work, const double* p, const Region& region)
         Lane light = one + gx * u + gy * v;
         Lane G = F + q * (one - F * F);
         Lane print = a + b * G;
+        Lane grey = print * light;
+        if constexpr (is_clipped) {
+            Lane above, below;
+            grey = grey - clipped_away(top - grey, noise, over_noise, above) + clipped_away(grey - bottom, noise, over_noise, below);
+            Lane seen = max_of(one - above - below, zero);
+            Lane clear = min_of(max_of((seen - splat(kClear)) * splat(2 / (1 - kClear)), zero), one);
+            Lane residual = root * (load(patch.value + at) - grey);
+            store(work.columns[kParameters] + at, residual);
+            store(work.weights + at, weight * clear);
+            disc = disc + weight;
+            clear_squares = clear_squares + residual * residual * clear;
+            root = root * seen;
+        } else {
+            store(work.columns[kParameters] + at, root * (load(patch.value + at) - grey));
+        }
         Lane gain = root * light * b * (one - splat(2.0f) * q * F);
         F1 = F1 * gain;
         F2 = F2 * gain;
@@ -202,13 +230,18 @@ inline void linearize_as(Workspace& work, const double* p, const Region& region)
         store(work.columns[kSlopeX] + at, root * print * u);
         store(work.columns[kSlopeY] + at, root * print * v);
         store(work.columns[kTone] + at, root * light * b * (one - F * F));
-        store(work.columns[kParameters] + at, root * (load(patch.value + at) - print * light));
+    }
+    if constexpr (is_clipped) {
+        work.disc = sum_of(disc);
+        work.clear_squares = sum_of(clear_squares);
     }
 }
 
-inline void linearize(Workspace& work, const double* p, const Region& region) {
-    if (region.bend[0] == 0 && region.bend[1] == 0) return linearize_as<false>(work, p, region);
-    linearize_as<true>(work, p, region);
+inline void linearize(Workspace& work, const double* p, const Region& region, const Clipping& clipping) {
+    const bool is_straight = region.bend[0] == 0 && region.bend[1] == 0;
+    if (work.patch.is_clipped)
+        return is_straight ? linearize_as<false, true>(work, p, region, clipping) : linearize_as<true, true>(work, p, region, clipping);
+    is_straight ? linearize_as<false, false>(work, p, region, clipping) : linearize_as<true, false>(work, p, region, clipping);
 }
 
 inline void multiply(const Workspace& work, Equations& out) {
