@@ -67,6 +67,10 @@ EXPLANATIONS = {
     "residuals-checked": """
         Residuals of neighbouring corners of an image should be independent. Real ones are alike to some degree; where the
         standard deviations were widened for what views have in common, that is counted.""",
+    "rig-does-not-fit": """
+        Each view's board is fitted to both images under the rig, and to each image alone. A rig that is merely less certain
+        than it says leaves nearly the same; three times as much, beyond what the pair left when it was calibrated, is
+        no matter of standard deviations.""",
     "rig-disagrees": """
         New images of a board are solved with the rig as a wide prior, and what they say is compared with the rig in units of
         both standard deviations, in every direction of which they tell anything. By chance a rig that has not changed is

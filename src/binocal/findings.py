@@ -588,6 +588,12 @@ _KINDS = (
         "take more views, so that what they have in common shows, or give the corners' cross-covariances",
     ),
     FindingKind(
+        "rig-does-not-fit", _W, "The rig does not fit new images at all",
+        "left and right corners miss each other under this rig by {pair_px:.2g} px (median), where each camera alone leaves {alone_px:.2g} "
+        "px: {what}; {remedy}.",
+        "calibrate anew; where that does not last, look for what is loose",
+    ),
+    FindingKind(
         "rig-disagrees", _W, "New images do not agree with the rig",
         "the images do not agree with the rig as its standard deviations allow ({difference_sigma:.1f} of them, RMS over {n_directions} "
         "directions; p = {p_value:.1g}): {what}; {remedy}.",

@@ -67,7 +67,7 @@ def test_a_pitched_rig_is_not_passed_in_silence(tmp_path, calibration, images, c
     path = written(tmp_path, pitched)
     assert main(["evaluate", path, *EVALUATE]) == 4
     text = capsys.readouterr().out
-    assert "warning: the images do not agree with the rig" in text and "pitch" in text
+    assert text.startswith("warning: left and right corners miss each other under this rig by") and "pitch" in text
     assert (
         main(["evaluate", path, *EVALUATE, "--require", "row 0.1px", "--require", "depth 0.0001% at 1m", "--json"]) == 4
     )
@@ -76,7 +76,7 @@ def test_a_pitched_rig_is_not_passed_in_silence(tmp_path, calibration, images, c
     assert row["outcome"] == "fail" and row["value"] > 1.0 and "left image" in row["where"]
     assert depth["outcome"] == "fail" and document["plans"] == []  # what has changed is no matter of more views
     assert document["agreement"]["cause"]["code"].endswith("turned")
-    assert document["findings"][0]["code"] == "rig-disagrees"
+    assert document["findings"][0]["code"] == "rig-does-not-fit"
 
 
 def test_a_rig_without_standard_deviations_is_undecided(tmp_path, calibration, images, capsys):

@@ -69,6 +69,10 @@ def judge_on_images(
         stated = figure_of_calibration(calibration, need)
         if agreement is None or not has_drifted:
             return stated
+        if agreement.is_gross and agreement.cause is None:
+            return Figure(
+                float("nan"), float("nan"), need.quantity, why="the rig does not fit these images", is_impossible=True
+            )
         shown = shifted_figure(calibration, need, agreement.names, agreement.shift, agreement.shift_covariance)
         return shown if shown.value > stated.value else stated
 

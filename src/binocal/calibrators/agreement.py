@@ -12,32 +12,38 @@ have are fitted to the difference in turn: the one that explains most names the 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.calibrators.agreement_causes import likeliest_cause
 from binocal.calibrators.base import CalibrationRequest
+from binocal.calibrators.board_and_exposures import RealViewsSolve
 from binocal.calibrators.joint import RobustSolver, solve_as_they_were, solve_with_misfit
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError
 from binocal.evidence import Detections
-from binocal.geometry import SE3
-from binocal.requirements.agreement import Agreement, Cause
+from binocal.geometry import SE3, so3
+from binocal.initialization.poses import estimate_poses
+from binocal.requirements.agreement import Agreement
 from binocal.requirements.figures import freedom_of
 from binocal.result import StereoCalibration
 from binocal.shapes import Float
 from binocal.solvers.board_views import BundleEstimate
 from binocal.solvers.covariance import inliers, real_covariance
 from binocal.solvers.minimization import minimize
+from binocal.solvers.poses import MIN_CORNERS, estimate_board_poses
 from binocal.solvers.prior import PriorTerm, RigPrior
 from binocal.uncertainty import Covariance
-from binocal.values import with_sigma
 
 WIDE, NARROW = 100.0, 10.0  # standard deviations; 0.05 deg of a good rig are 20 to 60 of them
+MOST_APART = (
+    3.0  # times what each camera alone leaves, and what the pair left over that in the calibration: no rig's own error
+)
 AS_WELL = 1.02  # times the noise, and so many times the corners that carry weight
 LEAST_INFORMATION = 1e-2  # of a direction, over what the rig's own covariance says: below, the views say nothing of it
-NEARLY = 0.97  # of what the best cause explains: as likely as it
 
 
 def measure_agreement(calibration: StereoCalibration, detections: Detections, T_left_board: SE3) -> Agreement:
@@ -51,44 +57,133 @@ def measure_agreement(calibration: StereoCalibration, detections: Detections, T_
         CalibrationError: The views cannot be solved.
     """
     rig, covariance = calibration.rig, _sound(calibration.stated_covariance)
-    seen = detections.left_is_seen.any(axis=1) | detections.right_is_seen.any(axis=1)
+    seen = detections.left_is_seen.sum(axis=1) + detections.right_is_seen.sum(axis=1) >= MIN_CORNERS
     used = np.flatnonzero(seen)
     views, poses = detections.select(used), SE3(T_left_board.R[used], T_left_board.t[used])
-    factor = float(calibration.provenance.get("views_in_common", {}).get("sigma_factor", 1.0))
-    solved = {}
-    for width in (NARROW, WIDE):
-        try:
-            wide = RigPrior.from_rig(
-                rig, Covariance(covariance.names, width**2 * covariance.matrix), held=_held(rig, covariance.names)
-            )
-        except ValueError as error:
-            raise DataError(f"the rig's covariance cannot be compared with: {error}.") from None
-        # exposures that are freed beside a narrow prior would take up a turn of the rig
-        exposure = "together" if width == NARROW else "auto"
-        request = CalibrationRequest(rig.left.model, "left.skew" in covariance.names, prior=wide, exposure=exposure)
-        start = BundleEstimate((rig.left.parameters, rig.right.parameters), poses, rig.T_right_left)
-        problem, minimum, _, _ = solve_with_misfit(views, request, start, RobustSolver(minimize))
-        solve = solve_as_they_were(problem, minimum, request)
-        if not np.isfinite(solve.noise_px) or not solve.minimum.is_converged:
-            continue
-        n_used = sum(int(is_used.sum()) for is_used in inliers(solve.problem, solve.minimum))
-        solved[width] = wide, solve, n_used
-    if not solved:
-        raise CalibrationError("the views say too little to be compared with the rig.")
-    width = WIDE if WIDE in solved else NARROW
-    if NARROW in solved and WIDE in solved:
-        (_, narrow, n_narrow), (_, free, n_free) = solved[NARROW], solved[WIDE]
-        p = len(covariance.names)
-        by_chance = float(np.sqrt(1 + (p + 4 * np.sqrt(2 * p)) / max(2 * n_free - 6 * views.n_views - p, 1)))
-        if narrow.noise_px < max(AS_WELL, by_chance) * free.noise_px and n_free < AS_WELL * n_narrow:
-            width = NARROW
-    wide, solve, _ = solved[width]
-    told, _, views_in_common = real_covariance(
-        solve.problem, solve.minimum.estimate, solve.minimum.equations, solve.reduced, solve.noise_px
+    alone_px, pair_px = _alone_and_paired(rig, views, poses)
+    usual = 1.0 if calibration.exposure is None else max(calibration.exposure.ratio, 1.0)
+    is_gross = pair_px > MOST_APART * usual * max(alone_px, calibration.noise_px)
+    found = _compared_by_solving(calibration, covariance, views, poses)
+    if found is None or (not found.freedom and not is_gross):
+        if not is_gross:
+            raise CalibrationError("the views say too little to be compared with the rig.")
+        none = np.zeros(0)
+        found = Agreement(np.inf, 0, 0.0, (), none, np.zeros((0, 0)), alone_px)
+    p_value = 0.0 if is_gross else found.p_value
+    return replace(found, p_value=p_value, is_gross=is_gross, alone_px=alone_px, pair_px=pair_px)
+
+
+def _compared_by_solving(
+    calibration: StereoCalibration, covariance: Covariance, views: Detections, poses: SE3
+) -> Agreement | None:
+    """None where the views cannot be solved."""
+    rig = calibration.rig
+    at_rig = BundleEstimate((rig.left.parameters, rig.right.parameters), poses, rig.T_right_left)
+    free = _best(
+        [_solved(calibration, covariance, views, start, WIDE) for start in (at_rig, *_apart(at_rig, rig, views))]
     )
-    away = PriorTerm(wide).distance(solve.minimum.estimate.bundle)
+    near = _solved(calibration, covariance, views, at_rig, NARROW)
+    chosen = (
+        near
+        if free is None or (near is not None and _explains_as_well(near, free, views, len(covariance.names)))
+        else free
+    )
+    if chosen is None:
+        return None
+    told, _, views_in_common = real_covariance(
+        chosen.solve.problem,
+        chosen.solve.minimum.estimate,
+        chosen.solve.minimum.equations,
+        chosen.solve.reduced,
+        chosen.solve.noise_px,
+    )
+    away = PriorTerm(chosen.prior).distance(chosen.solve.minimum.estimate.bundle)
+    factor = float(calibration.provenance.get("views_in_common", {}).get("sigma_factor", 1.0))
     excess = max(factor / views_in_common.factor, 1.0) ** 2
-    return _compared(rig, covariance, away, told, excess, solve.noise_px, width, freedom_of(calibration))
+    return _compared(rig, covariance, away, told, excess, chosen.solve.noise_px, chosen.width, freedom_of(calibration))
+
+
+def _alone_and_paired(rig: StereoRig, views: Detections, poses: SE3) -> tuple[float, float]:
+    """Median distance of the corners from their predictions, pixels: each camera with board poses of its own, and both with one."""
+    hidden = np.full(views.left_px.shape, np.nan)
+    left = estimate_board_poses(rig, replace(views, right_px=hidden)).left_r2_px2
+    right = estimate_board_poses(rig, replace(views, left_px=hidden)).right_r2_px2
+    both = estimate_board_poses(rig, views, poses)
+    paired = np.concatenate([both.left_r2_px2, both.right_r2_px2], axis=1)
+    paired = paired[views.left_is_seen.any(axis=1) & views.right_is_seen.any(axis=1)]
+    alone = np.concatenate([left, right], axis=1)
+    medians = (float(np.sqrt(np.nanmedian(r2))) if np.isfinite(r2).any() else 0.0 for r2 in (alone, paired))
+    alone_px, pair_px = medians
+    return alone_px, pair_px
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """The new views solved with a prior of so many standard deviations; how many corners carry weight."""
+
+    width: float
+    prior: RigPrior
+    solve: RealViewsSolve
+    n_used: int
+
+
+def _solved(
+    calibration: StereoCalibration, covariance: Covariance, views: Detections, start: BundleEstimate, width: float
+) -> _Solved | None:
+    """None where the solve does not reach a minimum.
+
+    Exposures are freed only where those of the calibration were apart, and never beside a narrow prior: they would take up a turn of
+    the rig.
+    """
+    rig = calibration.rig
+    try:
+        prior = RigPrior.from_rig(
+            rig, Covariance(covariance.names, width**2 * covariance.matrix), held=_held(rig, covariance.names)
+        )
+    except ValueError as error:
+        raise DataError(f"the rig's covariance cannot be compared with: {error}.") from None
+    were_apart = calibration.exposure is not None and calibration.exposure.are_apart
+    exposure = "auto" if were_apart and width == WIDE else "together"
+    request = CalibrationRequest(rig.left.model, "left.skew" in covariance.names, prior=prior, exposure=exposure)
+    problem, minimum, _, _ = solve_with_misfit(views, request, start, RobustSolver(minimize))
+    solve = solve_as_they_were(problem, minimum, request)
+    if not np.isfinite(solve.noise_px) or not solve.minimum.is_converged:
+        return None
+    return _Solved(width, prior, solve, sum(int(used.sum()) for used in inliers(solve.problem, solve.minimum)))
+
+
+def _apart(at_rig: BundleEstimate, rig: StereoRig, views: Detections) -> list[BundleEstimate]:
+    """A start from each camera alone, for a rig that is far off; none where no view has a pose in both."""
+    left, right = (
+        estimate_poses(camera.model, camera.parameters, views.object_points_m, px)
+        for camera, px in ((rig.left, views.left_px), (rig.right, views.right_px))
+    )
+    both = left.is_usable & right.is_usable
+    if not both.any():
+        return []
+    R = right.R[both] @ left.R[both].swapaxes(1, 2)
+    t = right.t[both] - np.einsum("vij,vj->vi", R, left.t[both])
+    R_mean = so3.project_to_rotation(R.mean(axis=0))
+    own = SE3(
+        so3.project_to_rotation(np.where(left.is_usable[:, None, None], left.R, at_rig.T_left_board.R)),
+        np.where(left.is_usable[:, None], left.t, at_rig.T_left_board.t),
+    )
+    return [replace(at_rig, T_left_board=own, T_right_left=SE3(R_mean, np.median(t, axis=0)))]
+
+
+def _best(solved: Sequence[_Solved | None]) -> _Solved | None:
+    """That in which most corners carry weight; of nearly as many, that with the least noise."""
+    found = [one for one in solved if one is not None]
+    most = max((one.n_used for one in found), default=0)
+    return min((one for one in found if AS_WELL * one.n_used >= most), key=lambda one: one.solve.noise_px, default=None)
+
+
+def _explains_as_well(near: _Solved, free: _Solved, views: Detections, n_parameters: int) -> bool:
+    """Whether the narrow prior's solve leaves no more noise than chance makes of the freedom that it lacks, and no fewer corners."""
+    left = max(2 * free.n_used - 6 * views.n_views - n_parameters, 1)
+    by_chance = float(np.sqrt(1 + (n_parameters + 4 * np.sqrt(2 * n_parameters)) / left))
+    is_as_quiet = near.solve.noise_px < max(AS_WELL, by_chance) * free.solve.noise_px
+    return is_as_quiet and free.n_used < AS_WELL * near.n_used
 
 
 def _compared(
@@ -132,99 +227,8 @@ def _compared(
         return agreement
     basis = np.linalg.solve(L, np.eye(len(L)))
     forms = V.T[tells] @ basis / np.sqrt(variance)[:, None]  # standardised difference of a change of the parameters
-    cause = _likeliest_cause(rig, covariance.names, forms, d / np.sqrt(variance), statistic)
+    cause = likeliest_cause(rig, covariance.names, forms, d / np.sqrt(variance), statistic)
     return replace(agreement, cause=cause)
-
-
-def _likeliest_cause(
-    rig: StereoRig,
-    names: tuple[str, ...],
-    forms: Float[ndarray, "k p"],
-    z: Float[ndarray, "k"],
-    statistic: float,
-) -> Cause | None:
-    """The first of the single causes, the commoner first, that explains nearly as much of the statistic as the best of them.
-
-    A turn of a camera and a shift of its image look alike from the corners; where both would do, the other is said too.
-    """
-    fits: list[tuple[float, Cause]] = []
-    for code, directions in _causes(rig, names).items():
-        A = forms @ directions
-        if not A.any():
-            continue
-        solution, *_ = np.linalg.lstsq(A, z, rcond=1e-10)
-        gain = statistic - float(np.sum((z - A @ solution) ** 2))
-        fits.append((gain, _described(rig, code, solution, np.linalg.pinv(A.T @ A), gain / statistic)))
-    best = max((gain for gain, _ in fits), default=0.0)
-    likely = [cause for gain, cause in fits if gain > NEARLY * best]
-    if not best > 0:
-        return None
-    others = [
-        cause for cause in likely[1:] if cause.code.endswith("image shifted") and likely[0].code.endswith("turned")
-    ]
-    if not others:
-        return likely[0]
-    return replace(
-        likely[0], words=f"{likely[0].words}; a shift of its image by {others[0].size:.2f} px would look the same"
-    )
-
-
-def _causes(rig: StereoRig, names: tuple[str, ...]) -> dict[str, Float[ndarray, "p q"]]:
-    """Changes of the parameters by each cause: turns (rad) of a camera about its own centre, a shift of it, focus, its image's shift."""
-    index = {name: i for i, name in enumerate(names)}
-    R, t = rig.T_right_left.R, rig.T_right_left.t
-
-    def column(values: dict[str, float]) -> Float[ndarray, "p"]:
-        out = np.zeros(len(names))
-        for name, value in values.items():
-            if name in index:
-                out[index[name]] = value
-        return out
-
-    def motion(turn: Float[ndarray, "3"], shift: Float[ndarray, "3"]) -> Float[ndarray, "p"]:
-        values = {f"rotation.{a}": float(v) for a, v in zip("xyz", turn, strict=True)}
-        return column(values | {f"translation.{a}": float(v) for a, v in zip("xyz", shift, strict=True)})
-
-    axes = np.eye(3)
-    causes = {
-        # the right camera turned by w about its centre: R -> exp(w) R, t -> exp(w) t; the left one: R -> R exp(-w)
-        "right turned": np.stack([motion(w, np.cross(w, t)) for w in axes], axis=1),
-        "left turned": np.stack([motion(-R @ w, np.zeros(3)) for w in axes], axis=1),
-        "shifted": np.stack([motion(np.zeros(3), v) for v in axes], axis=1),
-    }
-    for side in ("left", "right"):
-        fx, fy = getattr(rig, side).parameters[:2].tolist()
-        causes[f"{side} refocused"] = column({f"{side}.fx": fx, f"{side}.fy": fy})[:, None]
-        causes[f"{side} image shifted"] = np.stack([column({f"{side}.cx": 1.0}), column({f"{side}.cy": 1.0})], axis=1)
-    return causes
-
-
-def _described(
-    rig: StereoRig, code: str, solution: Float[ndarray, "q"], spread: Float[ndarray, "q q"], share: float
-) -> Cause:
-    size = float(np.linalg.norm(solution))
-    along = solution / max(size, 1e-300)
-    sigma = float(np.sqrt(max(along @ spread @ along, 0.0)))
-    side, _, what = code.partition(" ")
-    other = {"left": "right", "right": "left"}.get(side, "")
-    if what == "turned":
-        angles = np.degrees(solution)
-        parts = ", ".join(f"{name} {a:+.3f} deg" for name, a in zip(("pitch", "yaw", "roll"), angles, strict=True))
-        factor = 180 / np.pi
-        words = f"the {side} camera (or the {other} one) is turned by {with_sigma(factor * size, factor * sigma)} deg ({parts})"
-        return Cause(code, words, factor * size, factor * sigma, "deg", share)
-    if code == "shifted":
-        unit, factor = rig.printed_unit
-        words = f"the cameras are shifted against each other by {with_sigma(factor * size, factor * sigma)} {unit}"
-        return Cause(code, words, size, sigma, "m" if rig.is_metric else unit, share)
-    if what == "refocused":
-        words = (
-            f"the focal length of the {side} camera is another by {with_sigma(100 * solution[0], 100 * sigma)} % (or that of the {other} "
-            "one by as much the other way)"
-        )
-        return Cause(code, words, 100 * size, 100 * sigma, "%", share)
-    words = f"the {side} image is shifted by ({solution[0]:+.2f}, {solution[1]:+.2f}) px ± {sigma:.1g}"
-    return Cause(code, words, size, sigma, "px", share)
 
 
 def _sound(covariance: Covariance) -> Covariance:

@@ -1,7 +1,8 @@
 """The views that lower a requirement's figure fastest, chosen one after the other, each with the figure that is then to be expected.
 
 Greedy design of experiments: views add their information to that of the calibration, and each time the one is taken after which the
-figure's largest standard deviation over all its places is least. Source: e.g. Pukelsheim 1993, "Optimal Design of Experiments", 6.
+figure's largest standard deviation over all its places is least; of few views each is then exchanged for a better one, if there is one
+beside the others. Source: e.g. Pukelsheim 1993, "Optimal Design of Experiments", 6.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from binocal.requirements import Requirement
 from binocal.requirements.figures import COVERAGE, Sensitivity, guard_share, sensitivity_of
 from binocal.result import StereoCalibration
 from binocal.shapes import Bool, Float, Int
+from binocal.uncertainty.derivatives import variance_of
 
 MAX_VIEWS = 20
+EXCHANGES, MOST_EXCHANGED = 2, 8  # rounds; more views are chosen well enough one by one
 MOST_PLACES = 30  # twice as many are compared
 DIFFERENT_VIEWS = 6  # in a row
 ALIKE_RAD = 0.1  # of the line of sight, and half of the tilt
@@ -92,16 +95,18 @@ def plan_views(
     wanted = n_views if n_views is not None else max_views
     factor = max(calibration.provenance.get("views_in_common", {}).get("sigma_factor", 1.0), 1.0)
     weight = 1 / (calibration.noise_px * factor) ** 2
-    chosen, figures = _greedy(candidates, matrix, sensitivity, weight, wanted)
-    kept, is_enough = [], False
-    for i, (index, figure) in enumerate(zip(chosen, figures, strict=True)):
-        is_worth = figure < (1 - WORTHWHILE) * (figures[i - 1] if i else before)
-        if n_views is None and not is_worth:
-            break
-        kept.append(_described(calibration, board, candidates.T_left_board[index], figure))
-        is_enough = figure * (1 + guard_share(calibration, i + 1)) <= requirement.limit
-        if n_views is None and is_enough:
-            break
+    design = _Design.of(candidates, matrix, sensitivity, weight)
+    chosen = design.chosen_one_by_one(wanted)
+    limits = [requirement.limit / (1 + guard_share(calibration, i + 1)) for i in range(len(chosen))]
+    if n_views is None:
+        chosen = chosen[: _n_worthwhile(before, design.figures(chosen), limits)]
+    chosen = design.exchanged(chosen)
+    figures = design.figures(chosen)
+    if n_views is None:
+        n = _n_worthwhile(before, figures, limits)
+        chosen, figures = chosen[:n], figures[:n]
+    is_enough = bool(chosen) and figures[-1] <= limits[len(chosen) - 1]
+    kept = [_described(calibration, board, design.poses[i], figure) for i, figure in zip(chosen, figures, strict=True)]
     floor = COVERAGE * float(np.sqrt(sensitivity.floor.max(initial=0.0)))
     why = ""
     if not is_enough and floor > requirement.limit:
@@ -111,37 +116,94 @@ def plan_views(
     return ViewPlan(requirement, before, tuple(kept), is_enough, why)
 
 
-def _greedy(
-    candidates: CandidateViews,
-    matrix: Float[ndarray, "p p"],
-    sensitivity: Sensitivity,
-    weight: float,
-    n_views: int,
-) -> tuple[list[int], list[float]]:
-    """Indices in the order of choice, and the figure after each. Views in a row differ, and none is taken twice."""
-    scale = np.sqrt(np.diag(matrix))
-    scale = np.where(scale > 0, scale, 1.0)
-    H = _inverse(matrix / np.outer(scale, scale))
-    views = weight * candidates.information * scale[:, None] * scale
-    some = _telling_places(sensitivity, matrix)
-    G, floor = sensitivity.gradients[some] * scale, sensitivity.floor[some]
-    is_free = np.ones(len(views), dtype=bool)
-    chosen, figures, alike = [], [], []
-    for _ in range(min(n_views, len(views))):
-        if not is_free.any():
-            break
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """What is known before, what every candidate adds, and the figure's forms, all with parameters of unit variance before."""
+
+    known: Float[ndarray, "p p"]
+    views: Float[ndarray, "k p p"]
+    forms: Float[ndarray, "m p"]
+    floor: Float[ndarray, "m"]
+    some: Int[ndarray, "s"]
+    """Places that stand for all while views are compared."""
+    poses: SE3
+
+    @staticmethod
+    def of(
+        candidates: CandidateViews, matrix: Float[ndarray, "p p"], sensitivity: Sensitivity, weight: float
+    ) -> _Design:
+        """``weight`` is the inverse variance of a corner coordinate."""
+        scale = np.sqrt(np.diag(matrix))
+        scale = np.where(scale > 0, scale, 1.0)
+        return _Design(
+            _inverse(matrix / np.outer(scale, scale)),
+            weight * candidates.information * scale[:, None] * scale,
+            sensitivity.gradients * scale,
+            sensitivity.floor,
+            _telling_places(sensitivity, matrix),
+            candidates.T_left_board,
+        )
+
+    def figure(self, information: Float[ndarray, "p p"]) -> float:
+        """The requirement's figure under an information of the parameters, over all places."""
+        return COVERAGE * float(np.sqrt((variance_of(self.forms, np.linalg.inv(information)) + self.floor).max()))
+
+    def best_beside(self, information: Float[ndarray, "p p"], is_free: Bool[ndarray, "k"]) -> int:
+        """The free candidate after which the worst of some places is best."""
         left = np.flatnonzero(is_free)
-        C = np.linalg.inv(H + views[left])
-        variance = np.sum((C @ G.T) * G.T, axis=1) + floor
-        best = int(left[np.argmin(variance.max(axis=1))])
-        chosen.append(best)
-        H = H + views[best]
-        after = np.linalg.inv(H) * scale[:, None] * scale
-        figures.append(COVERAGE * float(sensitivity.sigmas(after).max()))
-        alike.append(_is_alike(candidates.T_left_board, best))
-        is_free = ~np.logical_or.reduce(alike[-DIFFERENT_VIEWS:])
-        is_free[chosen] = False
-    return chosen, figures
+        G = self.forms[self.some]
+        variance = np.sum((np.linalg.inv(information + self.views[left]) @ G.T).swapaxes(1, 2) * G, axis=2)
+        return int(left[np.argmin((variance + self.floor[self.some]).max(axis=1))])
+
+    def is_free(self, chosen: list[int]) -> Bool[ndarray, "k"]:
+        """Which candidates may be shown next: none twice, and none that is nearly one of the last."""
+        free = np.ones(len(self.views), dtype=bool)
+        for index in chosen[-DIFFERENT_VIEWS:]:
+            free &= ~_is_alike(self.poses, index)
+        free[chosen] = False
+        return free
+
+    def chosen_one_by_one(self, n: int) -> list[int]:
+        """Each time the view that helps most."""
+        chosen: list[int] = []
+        information = self.known
+        while len(chosen) < n and (free := self.is_free(chosen)).any():
+            chosen.append(self.best_beside(information, free))
+            information = information + self.views[chosen[-1]]
+        return chosen
+
+    def exchanged(self, chosen: list[int]) -> list[int]:
+        """The choice with each view in turn exchanged for a better one; then in the order in which they help."""
+        chosen = list(chosen)
+        for _ in range(EXCHANGES if len(chosen) <= MOST_EXCHANGED else 0):
+            for place in range(len(chosen)):
+                others = chosen[:place] + chosen[place + 1 :]
+                information = self.known + self.views[others].sum(axis=0)
+                other = self.best_beside(information, self.is_free(others))
+                if self.figure(information + self.views[other]) < self.figure(information + self.views[chosen[place]]):
+                    chosen[place] = other
+        ordered: list[int] = []
+        information = self.known
+        while len(ordered) < len(chosen):
+            free = np.zeros(len(self.views), dtype=bool)
+            free[[index for index in chosen if index not in ordered]] = True
+            ordered.append(self.best_beside(information, free))
+            information = information + self.views[ordered[-1]]
+        return ordered
+
+    def figures(self, chosen: list[int]) -> list[float]:
+        """The figure after each of the chosen views."""
+        return [self.figure(self.known + self.views[chosen[: i + 1]].sum(axis=0)) for i in range(len(chosen))]
+
+
+def _n_worthwhile(before: float, figures: list[float], limits: list[float]) -> int:
+    """How many views until the figure is below its limit, or a view lowers it by next to nothing."""
+    for i, (figure, limit) in enumerate(zip(figures, limits, strict=False)):
+        if figure <= limit:
+            return i + 1
+        if not figure < (1 - WORTHWHILE) * (figures[i - 1] if i else before):
+            return i
+    return len(figures)
 
 
 def _telling_places(sensitivity: Sensitivity, matrix: Float[ndarray, "p p"]) -> Int[ndarray, "k"]:
