@@ -16,8 +16,9 @@ from binocal.rl.epipolar_task import OBSERVED
 from binocal.rl.match_batches import MATCH_SETS
 from binocal.rl.policy import Policy, save_policy, shipped_policy
 from binocal.simulation.matches import sample_match_problems
-from binocal.solvers.epipolar import EpipolarProblem, RelativePose
+from binocal.solvers.epipolar import EpipolarProblem
 from binocal.solvers.portfolio import PORTFOLIO, cost_beside
+from binocal.solvers.relative_pose import RelativePose
 from streets import T_RIGHT_LEFT, cameras, street
 
 

@@ -7,8 +7,10 @@ import pytest
 
 from binocal.cameras import Camera
 from binocal.geometry import so3
-from binocal.solvers.epipolar import EpipolarProblem, Rays, RelativePose, descend, finish, tangents
+from binocal.solvers.epipolar import EpipolarProblem, Rays
 from binocal.solvers.epipolar_covariance import covariance_of_noise
+from binocal.solvers.epipolar_descent import descend, finish
+from binocal.solvers.relative_pose import RelativePose, tangents
 from streets import SIZE, T_RIGHT_LEFT, cameras, street
 
 

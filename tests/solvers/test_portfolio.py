@@ -9,8 +9,10 @@ from binocal.geometry import so3
 from binocal.rl.match_batches import MATCH_SETS, sample_matches, sample_starts
 from binocal.solvers.arrays import take_rigs
 from binocal.solvers.chosen_scale import CHOSEN_SCALE
-from binocal.solvers.epipolar import EpipolarProblem, Rays, RelativePose, cost_at
+from binocal.solvers.epipolar import EpipolarProblem, Rays
+from binocal.solvers.epipolar_descent import cost_at
 from binocal.solvers.portfolio import PORTFOLIO, compete, cost_beside, is_near
+from binocal.solvers.relative_pose import RelativePose
 from streets import T_RIGHT_LEFT, cameras, street
 
 TRUTH = RelativePose.of(T_RIGHT_LEFT)

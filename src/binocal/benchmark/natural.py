@@ -22,15 +22,9 @@ from binocal.matching.relative_pose import estimate_relative_pose
 from binocal.result import Covariance, StereoCalibration
 from binocal.shapes import Float
 from binocal.simulation import MatchDistribution, SimulatedMatches, sample_match_problems, simulate_matches
-from binocal.solvers.epipolar import (
-    NEAR_PX,
-    EpipolarProblem,
-    RelativePose,
-    cost_at,
-    descend,
-    finish,
-    tangents,
-)
+from binocal.solvers.epipolar import EpipolarProblem
+from binocal.solvers.epipolar_descent import NEAR_PX, cost_at, descend, finish
+from binocal.solvers.relative_pose import RelativePose, tangents
 
 FEW_WRONG = MatchDistribution(noise_px=(0.06, 0.3), n_matches=(200, 500))
 MANY_WRONG = MatchDistribution(noise_px=(0.2, 1.0), n_matches=(100, 300))

@@ -34,17 +34,7 @@ from binocal.geometry import SE3, so3
 from binocal.progress import ProgressCallback
 from binocal.result import Covariance, ResidualSummary, StereoCalibration, ViewResult
 from binocal.shapes import Bool, Float
-from binocal.solvers.epipolar import (
-    NOISE_FLOOR_PX,
-    SCHEDULE_PX,
-    EpipolarEquations,
-    EpipolarProblem,
-    Rays,
-    RelativePose,
-    finish,
-    parallax_and_sides,
-    tangents,
-)
+from binocal.solvers.epipolar import NOISE_FLOOR_PX, EpipolarEquations, EpipolarProblem, Rays, parallax_and_sides
 from binocal.solvers.epipolar_covariance import (
     covariance_by_regions,
     covariance_of_noise,
@@ -52,7 +42,9 @@ from binocal.solvers.epipolar_covariance import (
     slopes_by_intrinsics,
     steps_by_intrinsics,
 )
+from binocal.solvers.epipolar_descent import SCHEDULE_PX, finish
 from binocal.solvers.epipolar_diagnosis import clearest_ask
+from binocal.solvers.relative_pose import RelativePose, tangents
 
 UNTOLD_TURN_DEG, UNTOLD_DIRECTION_DEG = 1.0, 12.0
 """Standard deviations above which a scene does not tell a direction of the pose."""

@@ -13,8 +13,9 @@ from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3, so3
 from binocal.shapes import Bool, Float
-from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, RelativePose, parallax_and_sides
+from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, parallax_and_sides
 from binocal.solvers.epipolar_diagnosis import Ask
+from binocal.solvers.relative_pose import RelativePose
 
 MIN_MATCHES = 30
 MIN_RIGHT_SHARE = 0.15  # of the matches; unfiltered ones of self-similar scenes keep 0.2 and more

@@ -18,8 +18,10 @@ from binocal.errors import FormatError
 from binocal.rl.agent_kind import AgentKind
 from binocal.rl.epipolar_task import N_STEPS
 from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
-from binocal.solvers.epipolar import EpipolarProblem, RelativePose, cost_at, descend
+from binocal.solvers.epipolar import EpipolarProblem
+from binocal.solvers.epipolar_descent import cost_at, descend
 from binocal.solvers.portfolio import PORTFOLIO, Contest, Led, compete
+from binocal.solvers.relative_pose import RelativePose
 
 MOST_MATCHES = 500  # that solves from an old rig look at: as many as the agent ever saw
 WHOLE_PX = (1.0, 1.0)  # from their minimum to that of all matches

@@ -15,7 +15,8 @@ from numpy import ndarray
 
 from binocal.cameras import Camera
 from binocal.shapes import Float, Int
-from binocal.solvers.epipolar import EpipolarEquations, EpipolarProblem, RelativePose
+from binocal.solvers.epipolar import EpipolarEquations, EpipolarProblem
+from binocal.solvers.relative_pose import RelativePose
 
 REGIONS = (4, 3)  # columns and rows of the left image
 DRAWS = 400

@@ -17,18 +17,11 @@ from binocal.shapes import Float, Int
 from binocal.solvers import robust
 from binocal.solvers.arrays import map_arrays, stack_rigs
 from binocal.solvers.controllers import Marquardt, Schedule
-from binocal.solvers.epipolar import (
-    KERNEL,
-    SCHEDULE_PX,
-    STEPS_EACH,
-    EpipolarProblem,
-    RelativePose,
-    descend,
-    parallax_and_sides,
-    steer,
-)
+from binocal.solvers.epipolar import EpipolarProblem, parallax_and_sides
+from binocal.solvers.epipolar_descent import KERNEL, SCHEDULE_PX, STEPS_EACH, descend, steer
 from binocal.solvers.loop_state import Controller
 from binocal.solvers.minimization import START_DAMPING
+from binocal.solvers.relative_pose import RelativePose
 
 OLD_RIG_TURN_DEG, OLD_RIG_DIRECTION_DEG = 5.5, 6.0
 """Within which a result is taken for the same rig; a mount that moved by more has broken."""
