@@ -133,7 +133,7 @@ def test_matches_are_checked():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", ["street", "room"])
+@pytest.mark.parametrize("family", ["street", "room", "plane"])
 def test_the_right_minimum_is_found_beside_wrong_matches_of_all_kinds(family):
     """From 5 degrees off in rotation and direction."""
     for seed in range(6):

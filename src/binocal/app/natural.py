@@ -75,7 +75,7 @@ class NaturalOptions:
     progress: ProgressCallback | None = None
     should_stop: ShouldStop | None = None
     calibrator: str = "drl"
-    """See :func:`binocal.calibrators.natural_starts.solves_of`."""
+    """See :func:`binocal.calibrators.natural_solves.solves_of`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

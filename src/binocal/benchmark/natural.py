@@ -23,7 +23,8 @@ from binocal.result import Covariance, StereoCalibration
 from binocal.shapes import Float
 from binocal.simulation import MatchDistribution, SimulatedMatches, sample_match_problems, simulate_matches
 from binocal.solvers.epipolar import EpipolarProblem
-from binocal.solvers.epipolar_descent import NEAR_PX, cost_at, descend, finish
+from binocal.solvers.epipolar_descent import NEAR_PX, finish
+from binocal.solvers.portfolio import PORTFOLIO, compete
 from binocal.solvers.relative_pose import RelativePose, tangents
 
 FEW_WRONG = MatchDistribution(noise_px=(0.06, 0.3), n_matches=(200, 500))
@@ -41,13 +42,6 @@ LEAST_NEAR = 8  # matches within a few pixels, for an end to be looked at
 FOUND = 3.0
 """Standard deviations of the bound, RMS over the five unknowns, from the truth or from where a start at the truth ends: the right
 minimum. Wrong matches near their epipolar lines move it, and no method can tell."""
-PORTFOLIO_PX = (
-    (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0),
-    (128.0, 32.0, 8.0, 2.0, 1.0),
-    (32.0, 16.0, 8.0, 4.0, 2.0, 1.0),
-    (16.0, 8.0, 4.0, 2.0, 1.0),
-)
-"""Four schedules of the kernel from the old rig, the lower cost wins: what the calibrator is compared with where most are wrong."""
 EXACT = Covariance(("left.fx",), np.zeros((1, 1)))  # a rig file that calls its cameras exact
 
 
@@ -126,8 +120,7 @@ def _peers(problem: _Problem) -> dict[str, RelativePose | None]:
     """What the other methods make of the same matches."""
     matches = problem.drawn.matches
     equations, _ = EpipolarProblem.of_matches(problem.cameras, matches)
-    ends = [descend(equations, RelativePose.of(problem.old), schedule) for schedule in PORTFOLIO_PX]
-    best = min(ends, key=lambda end: cost_at(equations, end))
+    best = compete(equations, RelativePose.of(problem.old), PORTFOLIO).estimate
     peer = estimate_relative_pose(problem.cameras, matches.left_px, matches.right_px)
     return {
         "portfolio": _finished(equations, best),

@@ -1,13 +1,12 @@
 """Rotation and direction of translation from natural images: matches of many pairs, intrinsics held.
 
-Starts compete by the cost under a kernel of one pixel: the old rig, what matches alone give, two plain guesses. An old rig bounds
+Starts compete (:mod:`binocal.calibrators.natural_start`): the old rig, what matches alone give, two plain guesses. An old rig bounds
 the choice, since structured wrong matches may well have the lower cost elsewhere. What the scene does not tell stays as it was.
 The length of the translation is never told by matches.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +24,7 @@ from binocal.calibrators.natural_checks import (
     refuse_whole_rows,
     refuse_wrong,
 )
-from binocal.calibrators.natural_starts import ClosedStart, closed_from_guesses, closed_from_old_rig, solves_of
+from binocal.calibrators.natural_start import BestStart, Guess, best_start
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -73,12 +72,12 @@ class NaturalRequest:
     baseline_sigma_m: float = 0.0
     length_from: str = "nothing: lengths are in baselines"
     intrinsics: Covariance | None = None
-    guess: Callable[[PointMatches], SE3 | None] | None = None
+    guess: Guess | None = None
     """A first guess from matches alone (:mod:`binocal.matching.relative_pose`)."""
     seed: int = 0
     progress: ProgressCallback | None = None
     calibrator: str = "drl"
-    """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_starts.solves_of`."""
+    """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_solves.solves_of`."""
 
 
 def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> StereoCalibration:
@@ -106,7 +105,7 @@ class _Solved:
     estimate: RelativePose
     equations: EpipolarEquations
     noise_px: float
-    start: ClosedStart
+    start: BestStart
 
     @property
     def is_right(self) -> Bool[ndarray, "n"]:
@@ -123,13 +122,14 @@ def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
         raise refusal(finding("matches-too-few", n_matches=n_seen, n_pairs=matches.n_pairs, n_needed=MIN_MATCHES))
     matches = matches.select(has_rays)
     refuse_whole_rows(matches)
-    closed = _closed(problem, matches, request)
-    minimum = finish(problem, closed.estimate)
+    rng = np.random.default_rng(request.seed)
+    best = best_start(problem, matches, request.old, request.guess, rng, request.calibrator)
+    minimum = finish(problem, best.estimate)
     noise_px = max(float(minimum.scale_px), NOISE_FLOOR_PX)
     estimate = _on_the_visible_side(problem, minimum.estimate, noise_px, request.old)
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
     refuse_rectified(problem, matches, request.old, noise_px)
-    solved = _Solved(problem, matches, estimate, equations, noise_px, closed)
+    solved = _Solved(problem, matches, estimate, equations, noise_px, best)
     refuse_wrong(matches, solved.is_right, noise_px)
     return solved
 
@@ -159,7 +159,7 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     regions = regions_of(matches.left_px, request.cameras[0].size_wh)
     ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, slopes), rng)
     direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))
-    refuse_other_rig(estimate, request.old, direction_sigma_deg, ask)
+    refuse_other_rig(estimate, request.old, direction_sigma_deg, ask, noise_px)
     if ask is not None:
         findings.append(
             finding("matches-ask-for-other-cameras", what=asked(ask), saved_percent=100 * ask.fall, parameter=ask.name)
@@ -176,19 +176,6 @@ def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarra
         return EpipolarProblem(left, right)
 
     return slopes_by_intrinsics(of_other_cameras, cameras, solved.estimate, sigma, len(matches))
-
-
-def _closed(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> ClosedStart:
-    """Where the kernel closed from the best start."""
-    found = request.guess(matches) if request.guess is not None else None
-    guess = None if found is None else RelativePose.of(found)
-    if request.old is not None:
-        old, solves = RelativePose.of(request.old), solves_of(request.calibrator)
-        return closed_from_old_rig(problem, old, guess, solves, request.seed)
-    starts = {} if guess is None else {"matches": guess}
-    for name, t in (("side by side", [-1.0, 0.0, 0.0]), ("one above the other", [0.0, -1.0, 0.0])):
-        starts[name] = RelativePose(np.eye(3), np.array(t))
-    return closed_from_guesses(problem, starts)
 
 
 def _all_far(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> bool:
@@ -321,10 +308,10 @@ def _calibration(
     request: NaturalRequest,
     estimate: RelativePose,
     covariances: tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]],
-    known: tuple[float, ClosedStart],
+    known: tuple[float, BestStart],
     findings: tuple[Finding, ...],
 ) -> StereoCalibration:
-    (noise_px, closed), (covariance, random) = known, covariances
+    (noise_px, best), (covariance, random) = known, covariances
     length = request.baseline_m if request.baseline_m is not None else 1.0
     rig = StereoRig(
         *request.cameras, SE3(so3.project_to_rotation(estimate.R), length * estimate.t), request.baseline_m is not None
@@ -361,8 +348,8 @@ def _calibration(
         findings=findings,
         provenance={
             "method": "natural images",
-            "start": closed.start,
-            "agent": dict(closed.led_by),
+            "start": best.start,
+            "agent": dict(best.led_by),
             "n_matches": len(matches),
             "n_right": int(is_right.sum()),
             "random_rotation_covariance_rad2": random[:3, :3].tolist(),

@@ -25,6 +25,7 @@ CLEAR_PX, CLEAR_NOISE, MIN_CLEAR = 3.0, 10.0, 20
 """Parallax, in pixels and of the noise, and of how many points, for the side on which they lie to be told."""
 MOST_TURN_DEG, MOST_DIRECTION_DEG, MOST_SIGMAS = 15.0, 6.0, 3.0
 """From the rig that was given; beyond them it was not bent by heat or a knock, and the direction moves by no more than the turn else."""
+MOST_NOISE_PX = 1.0  # no matcher leaves more; what another parameter of the cameras would take away of it is theirs
 UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
 RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
 """Median difference of matches' rows as they are, and by the rig given, for images that were rectified before; the former's share of
@@ -108,8 +109,10 @@ def named(texts: list[str]) -> str:
     return ", ".join(texts[:NAMED]) + more
 
 
-def refuse_other_rig(estimate: RelativePose, given: SE3 | None, direction_sigma_deg: float, ask: Ask | None) -> None:
-    """Raises InconsistentViewsError: the rig that was given cannot have become the one that the images show."""
+def refuse_other_rig(
+    estimate: RelativePose, given: SE3 | None, direction_sigma_deg: float, ask: Ask | None, noise_px: float
+) -> None:
+    """Raises InconsistentViewsError: the rig that was given cannot have become the one that the images show, or has other cameras."""
     if given is None:
         return
     old = RelativePose.of(given)
@@ -117,7 +120,8 @@ def refuse_other_rig(estimate: RelativePose, given: SE3 | None, direction_sigma_
     turn_deg = float(np.degrees(so3.angle_rad(rotation)))
     direction_deg = float(np.degrees(np.arccos(np.clip(estimate.t @ old.t, -1, 1))))
     most_deg = MOST_DIRECTION_DEG + MOST_SIGMAS * direction_sigma_deg + min(turn_deg, MOST_TURN_DEG)
-    if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg:
+    has_other_cameras = ask is not None and noise_px > MOST_NOISE_PX
+    if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg and not has_other_cameras:
         return
     if turn_deg > UPSIDE_DOWN_DEG:
         cause = "one camera's images are upside down against the other's, as the rig's file does not have them"

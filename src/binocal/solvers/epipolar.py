@@ -18,7 +18,7 @@ from binocal.evidence.point_matches import PointMatches
 from binocal.geometry import so3
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
-from binocal.solvers.relative_pose import RelativePose, tangents
+from binocal.solvers.relative_pose import PosePrior, PriorPull, RelativePose, tangents
 
 NOISE_FLOOR_PX = 0.02  # no window is matched better; keeps matches on whole rows from passing for exact
 MAD_TO_SIGMA = 1.4826
@@ -59,6 +59,7 @@ class EpipolarEquations:
     weights: Float[ndarray, "*batch n"]
     cost_px2: Float[ndarray, "*batch"]
     counts: Float[ndarray, "*batch n"] | None = None
+    pull: PriorPull | None = None
 
     @property
     def r2_px2(self) -> tuple[Float[ndarray, "*batch n"], ...]:
@@ -71,17 +72,29 @@ class EpipolarEquations:
         weights, costs = robust.weights(r2, scale, kernel), robust.costs(r2, scale, kernel)
         if self.counts is not None:
             weights, costs = self.counts * weights, self.counts * costs
-        return replace(self, weights=weights, cost_px2=np.asarray(costs.sum(axis=-1)))
+        cost = np.asarray(costs.sum(axis=-1))
+        if self.pull is None:
+            return replace(self, weights=weights, cost_px2=cost)
+        pull = replace(self.pull, scale_px=np.asarray(scale_px))
+        return replace(self, weights=weights, cost_px2=cost + pull.cost_px2, pull=pull)
 
     def cost_under(self, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> Float[ndarray, "*batch"]:
         """Robust cost of the same residuals under another scale of the kernel."""
         costs = robust.costs(self.residuals_px**2, np.asarray(scale_px)[..., None], kernel)
-        return np.asarray((costs if self.counts is None else self.counts * costs).sum(axis=-1))
+        cost = np.asarray((costs if self.counts is None else self.counts * costs).sum(axis=-1))
+        return cost if self.pull is None else cost + replace(self.pull, scale_px=np.asarray(scale_px)).cost_px2
 
     @property
     def information(self) -> Float[ndarray, "*batch 5 5"]:
-        """Of the unknowns, for unit noise, by the kernel's weights."""
-        return self.jacobian.swapaxes(-1, -2) @ (self.weights[..., None] * self.jacobian)
+        """Of the unknowns, for unit noise, by the kernel's weights and the prior."""
+        H = self.jacobian.swapaxes(-1, -2) @ (self.weights[..., None] * self.jacobian)
+        return H if self.pull is None else H + self.pull.information_px2[..., None] * np.eye(5)
+
+    @property
+    def downhill(self) -> Float[ndarray, "*batch 5"]:
+        """The negative gradient of the cost."""
+        g = -np.einsum("...nk,...n->...k", self.jacobian, self.weights * self.residuals_px)
+        return g if self.pull is None else g + self.pull.downhill_px2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +117,7 @@ class EpipolarProblem:
     counts: Float[ndarray, "*batch n"] | None = None
     """How often each match counts, 0 for those that fill up the shorter sets of a batch; None: once."""
     scale_px: float | None = None
+    prior: PosePrior | None = None
 
     @staticmethod
     def of_matches(cameras: tuple[Camera, Camera], matches: PointMatches) -> tuple[EpipolarProblem, Bool[ndarray, "n"]]:
@@ -166,7 +180,8 @@ class EpipolarProblem:
         ]
         jacobian = by_E.reshape(*by_E.shape[:-2], 9) @ _essential_derivatives(estimate)
         counts = None if self.counts is None else np.broadcast_to(self.counts, s.shape)
-        unweighted = EpipolarEquations(s, jacobian, s, np.zeros(s.shape[:-1]), counts)
+        pull = None if self.prior is None else self.prior.pull_on(estimate, np.broadcast_to(scale_px, s.shape[:-1]))
+        unweighted = EpipolarEquations(s, jacobian, s, np.zeros(s.shape[:-1]), counts, pull)
         return unweighted.under(scale_px, kernel)
 
     def solve_step(
@@ -174,7 +189,7 @@ class EpipolarProblem:
     ) -> EpipolarStep:
         """Levenberg-Marquardt step with Marquardt's scaling; NaN where the equations are not finite."""
         H = equations.information
-        g = -np.einsum("...nk,...n->...k", equations.jacobian, equations.weights * equations.residuals_px)
+        g = equations.downhill
         size = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
         A = H / (size[..., :, None] * size[..., None, :])
         A = A + (np.asarray(damping) + 1e-12)[..., None, None] * np.eye(5)

@@ -11,8 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from binocal.shapes import Float
-from binocal.solvers import robust
 from binocal.solvers.chosen_scale import CHOSEN_SCALE, Counted
 from binocal.solvers.controllers import Marquardt, Schedule
 from binocal.solvers.epipolar import EpipolarEquations, EpipolarProblem, EpipolarStep
@@ -52,15 +50,14 @@ def steer(problem: EpipolarProblem, start: RelativePose, controller: Controller,
     return run(known, state, controller, KERNEL, CHOSEN_SCALE, Counted(n_iterations)).estimate
 
 
-def finish(problem: EpipolarProblem, start: RelativePose) -> EpipolarMinimum:
-    """The minimum under Tukey's kernel, its scale from the residuals of what is left within a few pixels."""
+def finish(problem: EpipolarProblem, start: RelativePose, *, max_iterations: int = LAST_STEPS) -> EpipolarMinimum:
+    """The minimum under Tukey's kernel, its scale from the residuals of what is left within a few pixels.
+
+    NOT checked: that anything is. For a batch of starts of one problem, the others count nothing.
+    """
     near = np.abs(problem.residuals_px(start)) < NEAR_PX
-    part = replace(problem.select(near), scale_px=None)
-    return minimize(part, start, LoopOptions("tukey", max_iterations=LAST_STEPS, tolerance_sigma=0.005))
-
-
-def cost_at(problem: EpipolarProblem, estimate: RelativePose, scale_px: float = 1.0) -> Float[ndarray, "*batch"]:
-    """Geman and McClure's cost, by which starts compete, in squares of the scale."""
-    costs = robust.costs(problem.residuals_px(estimate) ** 2, np.asarray(scale_px), KERNEL)
-    counts = 1.0 if problem.counts is None else problem.counts
-    return np.asarray((counts * costs).sum(axis=-1)) / scale_px**2
+    if near.ndim > 1:
+        part = replace(problem, counts=near * (1.0 if problem.counts is None else problem.counts), scale_px=None)
+    else:
+        part = replace(problem.select(near), scale_px=None)
+    return minimize(part, start, LoopOptions("tukey", max_iterations=max_iterations, tolerance_sigma=0.005))

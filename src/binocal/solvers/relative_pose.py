@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
@@ -49,3 +50,52 @@ def tangents(t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 2"]:
     first = np.cross(t, np.eye(3)[np.argmin(np.abs(t), axis=-1)])
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack([first, np.cross(t, first)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePrior:
+    """Where a pose was, and by how much it may have moved: one standard deviation of each angle of R, and of the direction of t.
+
+    In a robust problem noise is taken to be the kernel's scale: a wide kernel, under which wrong matches pull with full weight, hardly
+    moves what matches hardly tell; one of a pixel does not feel the prior.
+    """
+
+    pose: RelativePose
+    turn_rad: float
+    direction_rad: float
+
+    @property
+    def precision(self) -> Float[ndarray, "5"]:
+        """1 / variance of the five unknowns."""
+        return np.r_[[self.turn_rad**-2] * 3, [self.direction_rad**-2] * 2]
+
+    def pull_on(self, estimate: RelativePose, scale_px: Float[ndarray, "*batch"]) -> PriorPull:
+        """What it adds to the equations of an estimate."""
+        return PriorPull(self.precision * np.ones((*estimate.batch, 1)), estimate.step_to(self.pose), scale_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorPull:
+    """A prior's part in the equations of an estimate, under a kernel's scale.
+
+    Half the squared length of ``step_back``, which leads to the prior's pose, has the exact gradient that a step's has.
+    """
+
+    precision: Float[ndarray, "*batch 5"]
+    step_back: Float[ndarray, "*batch 5"]
+    scale_px: Float[ndarray, "*batch"]
+
+    @property
+    def information_px2(self) -> Float[ndarray, "*batch 5"]:
+        """The diagonal that it adds to the information."""
+        return self.precision * np.asarray(self.scale_px)[..., None] ** 2
+
+    @property
+    def downhill_px2(self) -> Float[ndarray, "*batch 5"]:
+        """The negative gradient of its cost."""
+        return self.information_px2 * self.step_back
+
+    @property
+    def cost_px2(self) -> Float[ndarray, "*batch"]:
+        """What it adds to the cost."""
+        return np.asarray(0.5 * np.sum(self.information_px2 * self.step_back**2, axis=-1))
