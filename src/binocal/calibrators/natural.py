@@ -52,6 +52,8 @@ ASSUMED_DISTORTION = {"k1": 8e-4, "k2": 1.6e-3, "p1": 5e-5, "p2": 5e-5}
 """What intrinsics are uncertain by where nobody says: as a good calibration from a board leaves them."""
 MIN_SIDE_SHARE = 0.1  # of clear points: with fewer on either side, they do not lie on both
 NEAR_NOISE = 3.0
+BEHIND_PX, BEHIND_NOISE = 8.0, 20.0
+"""Parallax of a point, in pixels and of the noise, at which no error of the pose makes it lie behind a camera."""
 KEPT_ROUNDS = 3
 KEPT_STEPS = 5  # pairs of steps under the last kernel
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
@@ -89,7 +91,7 @@ def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> St
     """
     solved = _solve(matches, request)
     findings: list[Finding] = []
-    odd = contradicting_pairs(solved.problem, solved.matches, solved.estimate, solved.is_right, solved.noise_px)
+    odd = contradicting_pairs(solved.problem, solved.matches, solved.estimate, solved.noise_px)
     if odd and matches.n_pairs > 1:
         findings.append(pairs_left_out(solved.matches, odd, request.old is not None))
         solved = _solve(matches.of_pairs([i for i in range(matches.n_pairs) if i not in odd]), request)
@@ -105,7 +107,7 @@ class _Solved:
     estimate: RelativePose
     equations: EpipolarEquations
     noise_px: float
-    start: BestStart
+    best: BestStart
 
     @property
     def is_right(self) -> Bool[ndarray, "n"]:
@@ -127,6 +129,11 @@ def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
     minimum = finish(problem, best.estimate)
     noise_px = max(float(minimum.scale_px), NOISE_FLOOR_PX)
     estimate = _on_the_visible_side(problem, minimum.estimate, noise_px, request.old)
+    is_seen = ~_behind(problem, estimate, noise_px)
+    if not is_seen.all():
+        problem = replace(problem, counts=is_seen.astype(float))
+        minimum = finish(problem, estimate)
+        noise_px, estimate = max(float(minimum.scale_px), NOISE_FLOOR_PX), minimum.estimate
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
     refuse_rectified(problem, matches, request.old, noise_px)
     solved = _Solved(problem, matches, estimate, equations, noise_px, best)
@@ -151,6 +158,7 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
             estimate = _kept(problem, untold, RelativePose.of(request.old), noise_px)
             equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
             solved = replace(solved, estimate=estimate, equations=equations)
+            refuse_wrong(matches, solved.is_right, noise_px)
             slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
             covariance, random = _covariance(solved, request, of_cameras, slopes)
             again = _untold_part(covariance)
@@ -164,7 +172,7 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
         findings.append(
             finding("matches-ask-for-other-cameras", what=asked(ask), saved_percent=100 * ask.fall, parameter=ask.name)
         )
-    return _calibration(matches, request, estimate, (covariance, random), (noise_px, solved.start), (*findings, *kept))
+    return _calibration(solved, request, (covariance, random), (*findings, *kept))
 
 
 def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarray, "p"]) -> Float[ndarray, "n p"]:
@@ -195,6 +203,20 @@ def _on_the_visible_side(
     if old is not None and MIN_SIDE_SHARE * n_clear < n_front < (1 - MIN_SIDE_SHARE) * n_clear:
         is_reversed = bool(estimate.t @ old.t < 0)
     return RelativePose(estimate.R, -estimate.t) if is_reversed else estimate
+
+
+def _behind(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> Bool[ndarray, "n"]:
+    """Which matches are wrong although they fit, their points lying behind a camera; none where most that fit would.
+
+    Of simulated wrong matches that pass for right, most of what repeats along the row, this names a third.
+    """
+    parallax_px, side = parallax_and_sides(problem, estimate)
+    is_clear = parallax_px > max(BEHIND_PX, BEHIND_NOISE * noise_px)
+    fits = is_clear & (np.abs(problem.residuals_px(estimate)) < NEAR_NOISE * noise_px)
+    if (side[fits] > 0).sum() <= (side[fits] < 0).sum():
+        return np.zeros(len(side), dtype=bool)
+    behind: Bool[ndarray, "n"] = is_clear & (side < 0)
+    return behind
 
 
 def _covariance(
@@ -304,21 +326,17 @@ def _refined_along(
 
 
 def _calibration(
-    matches: PointMatches,
+    solved: _Solved,
     request: NaturalRequest,
-    estimate: RelativePose,
     covariances: tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]],
-    known: tuple[float, BestStart],
     findings: tuple[Finding, ...],
 ) -> StereoCalibration:
-    (noise_px, best), (covariance, random) = known, covariances
+    matches, estimate, is_right, (covariance, random) = solved.matches, solved.estimate, solved.is_right, covariances
     length = request.baseline_m if request.baseline_m is not None else 1.0
     rig = StereoRig(
         *request.cameras, SE3(so3.project_to_rotation(estimate.R), length * estimate.t), request.baseline_m is not None
     )
-    problem, _ = EpipolarProblem.of_matches(request.cameras, matches)
-    residuals = problem.residuals_px(estimate)
-    is_right = np.abs(residuals) < 4.685 * noise_px
+    residuals = solved.equations.residuals_px
     views = []
     for pair, name in enumerate(matches.names):
         own = (matches.pair == pair) & is_right
@@ -343,13 +361,13 @@ def _calibration(
         rig=rig,
         covariance=Covariance(tuple(all_names[i] for i in told), full[np.ix_(told, told)]),
         rms=ResidualSummary(rms, rms, rms),
-        noise_px=noise_px,
+        noise_px=solved.noise_px,
         views=tuple(views),
         findings=findings,
         provenance={
             "method": "natural images",
-            "start": best.start,
-            "agent": dict(best.led_by),
+            "start": solved.best.start,
+            "agent": dict(solved.best.led_by),
             "n_matches": len(matches),
             "n_right": int(is_right.sum()),
             "random_rotation_covariance_rad2": random[:3, :3].tolist(),

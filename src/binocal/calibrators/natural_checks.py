@@ -16,6 +16,7 @@ from binocal.shapes import Bool, Float
 from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, parallax_and_sides
 from binocal.solvers.epipolar_diagnosis import Ask
 from binocal.solvers.relative_pose import RelativePose
+from binocal.solvers.robust import TUKEY_END
 
 MIN_MATCHES = 30
 MIN_RIGHT_SHARE = 0.15  # of the matches; unfiltered ones of self-similar scenes keep 0.2 and more
@@ -71,10 +72,10 @@ def contradicting_pairs(
     problem: EpipolarProblem,
     matches: PointMatches,
     estimate: RelativePose,
-    is_right: Bool[ndarray, "n"],
     noise_px: float,
 ) -> dict[int, str]:
     """Pairs that show another rig than all together, and why: few of their matches fit, or their points lie behind the cameras."""
+    is_right = np.abs(problem.residuals_px(estimate)) < TUKEY_END * noise_px
     usual = is_right.mean()
     is_clear, is_in_front = clear_sides(problem, estimate, noise_px)
     found: dict[int, str] = {}

@@ -40,9 +40,11 @@ HELD_TURN_DEG, HELD_DIRECTION_DEG, LOOSE_DIRECTION_DEG = 5.0, 2.0, 4.0
 AROUND_OLD, AROUND_OLD_PX = ((6, 3.0), (12, 6.0)), (4.0, 2.0, 1.0, 0.5)
 AROUND_BEST, AROUND_BEST_PX = ((6, 1.5), (7, 3.5)), (2.0, 1.0, 0.5)
 """Circles of starts about a direction of the translation, each so many at so many degrees, and how their kernel closes."""
+AGREED_SHARE, AGREED_SIGMAS = 0.9, 0.1
+"""Of the matches that an end must explain, and how near each other all solves from the old rig must end, for the search to stop."""
 LEAST_NEAR = 8  # matches within a few pixels, for an end to be looked at
 COMPARED_STEPS = 8  # under Tukey's kernel, before ends are compared
-COMPARED_NOISE, MOST_COMPARED_PX = 2.0, 1.0
+COMPARED_NOISE, MOST_COMPARED_PX = 1.5, 1.0
 """The kernel's scale for the comparison, over the least noise of all ends; match noise is known to lie below 1 px."""
 MANY_SHARE = 0.5  # of the matches that the end which has most of them has, for an end's noise to count
 EQUAL_COST = 0.01  # a fiftieth of one wrong match: the same minimum, reached by another way
@@ -70,8 +72,8 @@ class _Ends:
     names: tuple[str, ...]
     minima: EpipolarMinimum
 
-    def and_also(self, more: _Ends) -> _Ends:
-        return _Ends(self.names + more.names, join_rigs([self.minima, more.minima]))
+    def and_also(self, more: _Ends | None) -> _Ends:
+        return self if more is None else _Ends(self.names + more.names, join_rigs([self.minima, more.minima]))
 
 
 def best_start(
@@ -89,42 +91,60 @@ def best_start(
     """
     n = len(matches)
     some = problem if n <= MOST_MATCHES else problem.select(np.sort(rng.permutation(n)[:MOST_MATCHES]))
-    guessed = guess(matches) if guess is not None else None
     solves = {} if old is None else solves_of(calibrator)
     old_pose = None if old is None else RelativePose.of(old)
-    is_wide = calibrator != ONE_SCHEDULE
-    closed = _from_nothing(some) if old_pose is None else _from_old_rig(some, old_pose, solves, is_wide=is_wide)
-    if guessed is not None:
-        closed.append((MATCHES, _alone(descend(some, RelativePose.of(guessed)))))
-    ends = _finished(some, closed)
+    ends = _finished(some, _from_nothing(some) if old_pose is None else _led(some, old_pose, solves))
+    if ends is None or old_pose is None or not _agree(ends, old_pose, len(solves)):
+        guessed = guess(matches) if guess is not None else None
+        ends = _searched(some, ends, old_pose, guessed, is_wide=calibrator != ONE_SCHEDULE)
     if ends is None:
         raise refusal(finding("matches-contradict", n_right=0, n_matches=n, noise_px=NEAR_PX))
     compared = _compared(some, ends, old_pose)
-    if is_wide:
-        best = take_rigs(ends.minima.estimate, int(np.argmax(compared.is_best)))
-        held = replace(some, prior=_held(best, LOOSE_DIRECTION_DEG))
-        around = _finished(some, [(AROUND_THE_BEST, descend(held, _around(best, AROUND_BEST), AROUND_BEST_PX))])
-        ends = ends if around is None else ends.and_also(around)
-        compared = _compared(some, ends, old_pose)
-    place = int(np.argmax(compared.is_best))
-    won = ends.names[place]
+    won = ends.names[compared.best]
     start = won if old is None or won == MATCHES else OLD
     report = {"asked": AGENT in solves, "won": won, "n_matches": min(n, MOST_MATCHES)} | compared.report(ends.names)
     if old is None:
         report["reason"] = "no old rig"
-    return BestStart(take_rigs(ends.minima.estimate, place), start, report)
+    return BestStart(take_rigs(ends.minima.estimate, compared.best), start, report)
 
 
-def _from_old_rig(
-    problem: EpipolarProblem, old: RelativePose, solves: Mapping[str, Led], *, is_wide: bool
-) -> list[tuple[str, RelativePose]]:
-    """Where the kernel closes from an old rig: who leads, who follows, and what the old rig holds."""
-    closed = [(name, _alone(steer(problem, old, led.controller, led.n_iterations))) for name, led in solves.items()]
-    if is_wide:
+def _led(problem: EpipolarProblem, old: RelativePose, solves: Mapping[str, Led]) -> list[tuple[str, RelativePose]]:
+    """Where the kernel closes from an old rig, whoever leads."""
+    return [(name, _alone(steer(problem, old, led.controller, led.n_iterations))) for name, led in solves.items()]
+
+
+def _agree(ends: _Ends, old: RelativePose, n_solves: int) -> bool:
+    """Whether several solves led to one minimum near the old rig that explains most matches: nothing is left to search."""
+    if not len(ends.names) == n_solves > 1 or not _is_near(old, ends.minima).all():
+        return False
+    weights = ends.minima.equations.weights
+    if (weights > 0).mean(axis=-1).min() < AGREED_SHARE:
+        return False
+    first = take_rigs(ends.minima.estimate, 0)
+    away = first.step_to(ends.minima.estimate)
+    apart = np.einsum("ki,kij,kj->k", away, ends.minima.equations.information, away) / ends.minima.scale_px**2
+    return bool(apart.max() < AGREED_SIGMAS**2)
+
+
+def _searched(
+    problem: EpipolarProblem, ends: _Ends | None, old: RelativePose | None, guessed: SE3 | None, *, is_wide: bool
+) -> _Ends | None:
+    """What the old rig holds and what lies around it, what matches alone give, and then what lies around the best of all."""
+    closed: list[tuple[str, RelativePose]] = []
+    if old is not None and is_wide:
         held = replace(problem, prior=_held(old, HELD_DIRECTION_DEG))
         closed.append((OLD, _alone(descend(held, old))))
         closed.append((AROUND_IT, descend(held, _around(old, AROUND_OLD), AROUND_OLD_PX)))
-    return closed
+    if guessed is not None:
+        closed.append((MATCHES, _alone(descend(problem, RelativePose.of(guessed)))))
+    more = _finished(problem, closed) if closed else None
+    ends = more if ends is None else ends.and_also(more)
+    if ends is None or not is_wide:
+        return ends
+    best = take_rigs(ends.minima.estimate, _compared(problem, ends, old).best)
+    held = replace(problem, prior=_held(best, LOOSE_DIRECTION_DEG))
+    around = _finished(problem, [(AROUND_THE_BEST, descend(held, _around(best, AROUND_BEST), AROUND_BEST_PX))])
+    return ends.and_also(around)
 
 
 def _from_nothing(problem: EpipolarProblem) -> list[tuple[str, RelativePose]]:
@@ -155,6 +175,11 @@ class _Compared:
     def is_best(self) -> Bool[ndarray, "k"]:
         """Which have the lowest cost."""
         return np.asarray(self.costs <= self.costs.min() + EQUAL_COST)
+
+    @property
+    def best(self) -> int:
+        """The first of them."""
+        return int(np.argmax(self.is_best))
 
     def report(self, names: Sequence[str]) -> dict[str, Any]:
         """The least cost of each way, and how many ways lead to the best."""

@@ -193,7 +193,7 @@ class EpipolarProblem:
         size = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
         A = H / (size[..., :, None] * size[..., None, :])
         A = A + (np.asarray(damping) + 1e-12)[..., None, None] * np.eye(5)
-        is_sound = np.isfinite(A).all(axis=(-1, -2)) & np.isfinite(g).all(axis=-1)
+        is_sound = np.asarray(np.isfinite(A).all(axis=(-1, -2)) & np.isfinite(g).all(axis=-1))
         A = np.where(is_sound[..., None, None], A, np.eye(5))
         xi = np.linalg.solve(A, (g / size)[..., None])[..., 0] / size
         xi = np.where(is_sound[..., None], xi, np.nan)
