@@ -11,7 +11,10 @@ from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches, 
 from binocal.errors import DegenerateGeometryError, InconsistentViewsError
 from binocal.evidence.point_matches import PointMatches
 from binocal.geometry import SE3, so3
-from binocal.simulation import simulate_matches
+from binocal.matching.relative_pose import estimate_relative_pose
+from binocal.result import Covariance
+from binocal.simulation import MatchDistribution, sample_match_problems, simulate_matches
+from binocal.solvers.relative_pose import RelativePose
 from rigs import street_rig
 
 RIG = street_rig()
@@ -156,3 +159,19 @@ def test_matches_that_no_start_explains_are_refused():
     )
     with pytest.raises(InconsistentViewsError):
         solve(shifted, old=T_RIGHT_LEFT)
+
+
+def test_a_kept_pose_that_hardly_a_match_agrees_with_is_refused():
+    """What the scene does not tell is 5 degrees off in the old rig: 19 of 258 matches agree with the pose that keeps it."""
+    distribution = MatchDistribution(noise_px=(0.2, 1.0), n_matches=(100, 300), wrong_share=(0.65, 0.85))
+    rng = np.random.default_rng(50)
+    drawn = sample_match_problems(distribution, 1, rng).problem(0)
+    turn, way = rng.standard_normal(3), rng.standard_normal(2)
+    xi = np.r_[turn / np.linalg.norm(turn), way / np.linalg.norm(way)] * np.radians(5.0)
+    old = RelativePose.of(drawn.rig.T_right_left).stepped(xi)
+    pair = drawn.rig.left, drawn.rig.right
+    exact = Covariance(("left.fx",), np.zeros((1, 1)))
+    known = NaturalRequest(pair, SE3(so3.project_to_rotation(old.R), old.t), intrinsics=exact)
+    known = replace(known, guess=lambda found: estimate_relative_pose(pair, found.left_px, found.right_px))
+    with pytest.raises(InconsistentViewsError, match="of 258 matches agree with one pose"):
+        calibrate_from_matches(drawn.matches, known)

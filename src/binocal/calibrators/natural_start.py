@@ -47,7 +47,7 @@ COMPARED_STEPS = 8  # under Tukey's kernel, before ends are compared
 COMPARED_NOISE, MOST_COMPARED_PX = 1.5, 1.0
 """The kernel's scale for the comparison, over the least noise of all ends; match noise is known to lie below 1 px."""
 MANY_SHARE = 0.5  # of the matches that the end which has most of them has, for an end's noise to count
-EQUAL_COST = 0.01  # a fiftieth of one wrong match: the same minimum, reached by another way
+EQUAL_COST = 0.05  # a tenth of one wrong match: the same minimum, reached by another way
 OPEN_SIGMAS = 3.0
 FAR_FITS, NEAR_SHARE = 0.6, 0.7
 """A pose far from the old rig that explains so much of all matches is the images', where the best near it explains so much less."""
