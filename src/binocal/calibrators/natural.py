@@ -25,6 +25,7 @@ from binocal.calibrators.natural_checks import (
     refuse_wrong,
 )
 from binocal.calibrators.natural_start import BestStart, Guess, best_start
+from binocal.calibrators.natural_untold import limited_to_kept, untold_finding, untold_part, with_untold_kept
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -41,12 +42,10 @@ from binocal.solvers.epipolar_covariance import (
     slopes_by_intrinsics,
     steps_by_intrinsics,
 )
-from binocal.solvers.epipolar_descent import SCHEDULE_PX, finish
+from binocal.solvers.epipolar_descent import finish
 from binocal.solvers.epipolar_diagnosis import clearest_ask
 from binocal.solvers.relative_pose import RelativePose, tangents
 
-UNTOLD_TURN_DEG, UNTOLD_DIRECTION_DEG = 1.0, 12.0
-"""Standard deviations above which a scene does not tell a direction of the pose."""
 ASSUMED_FOCAL_SHARE, ASSUMED_ASPECT_SHARE, ASSUMED_CENTRE_PX = 4e-4, 2e-4, 0.25
 ASSUMED_DISTORTION = {"k1": 8e-4, "k2": 1.6e-3, "p1": 5e-5, "p2": 5e-5}
 """What intrinsics are uncertain by where nobody says: as a good calibration from a board leaves them."""
@@ -55,7 +54,6 @@ NEAR_NOISE = 3.0
 BEHIND_PX, BEHIND_NOISE = 8.0, 20.0
 """Parallax of a point, in pixels and of the noise, at which no error of the pose makes it lie behind a camera."""
 KEPT_ROUNDS = 3
-KEPT_STEPS = 5  # pairs of steps under the last kernel
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
 """Of the noise, and so many matches, for the direction of the translation to be told at all."""
 
@@ -149,21 +147,21 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     rng = np.random.default_rng(request.seed)
     covariance, random = _covariance(solved, request, of_cameras, slopes)
     kept: list[Finding] = []
-    untold = _untold_part(covariance)
+    untold = untold_part(covariance)
     if untold is not None:
-        kept.append(_untold_finding(covariance, is_kept=request.old is not None))
+        kept.append(untold_finding(covariance, is_kept=request.old is not None))
         if request.old is None:
             raise refusal(kept[0])
         for _ in range(KEPT_ROUNDS):  # what a scene tells depends on the pose at which it is asked
-            estimate = _kept(problem, untold, RelativePose.of(request.old), noise_px)
+            estimate = with_untold_kept(problem, untold, RelativePose.of(request.old), noise_px)
             equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
             solved = replace(solved, estimate=estimate, equations=equations)
             refuse_wrong(matches, solved.is_right, noise_px)
             slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
             covariance, random = _covariance(solved, request, of_cameras, slopes)
-            again = _untold_part(covariance)
+            again = untold_part(covariance)
             untold = untold if again is None else again
-        covariance = _limited(covariance)
+        covariance = limited_to_kept(covariance)
     regions = regions_of(matches.left_px, request.cameras[0].size_wh)
     ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, slopes), rng)
     direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))
@@ -272,57 +270,6 @@ def intrinsics_covariance(cameras: tuple[Camera, Camera], known: Covariance | No
             out[first + 5 + i, first + 5 + i] = 0.0 if is_known_zero else ASSUMED_DISTORTION.get(name, 0.0) ** 2
         first += len(camera.parameters)
     return out
-
-
-UNIT = np.radians([UNTOLD_TURN_DEG] * 3 + [UNTOLD_DIRECTION_DEG] * 2)
-
-
-def _untold_part(covariance: Float[ndarray, "q q"]) -> Float[ndarray, "5 k"] | None:
-    """Directions of the five unknowns, in :data:`UNIT`, that the scene does not tell, at right angles; None if it tells all."""
-    values, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
-    return vectors[:, values > 1.0] if values[-1] > 1.0 else None
-
-
-def _untold_finding(covariance: Float[ndarray, "q q"], *, is_kept: bool) -> Finding:
-    _, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
-    sigma = np.degrees(np.sqrt(np.diagonal(covariance)[:5]))
-    words = ("pitch", "yaw", "roll", "the direction of T", "the direction of T")
-    code = "scene-tells-too-little-kept" if is_kept else "scene-tells-too-little"
-    what = words[int(np.argmax(np.abs(vectors[:, -1])))]
-    return finding(code, what=what, turn_sigma_deg=float(sigma[:3].max()), direction_sigma_deg=float(sigma[3:].max()))
-
-
-def _kept(problem: EpipolarProblem, untold: Float[ndarray, "5 k"], old: RelativePose, noise_px: float) -> RelativePose:
-    """The best pose that agrees with the old one in what the scene does not tell."""
-    told = np.linalg.svd(untold, full_matrices=True)[0][:, untold.shape[1] :]
-    return _refined_along(problem, old, UNIT[:, None] * told, noise_px)
-
-
-def _limited(covariance: Float[ndarray, "q q"]) -> Float[ndarray, "q q"]:
-    """What was kept is taken to be known to one unit: the old rig's own uncertainty is not asked for."""
-    values, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
-    scaled = UNIT[:, None] * vectors
-    limited = np.array(covariance)
-    limited[:5, :5] = scaled @ np.diag(np.minimum(values, 1.0)) @ scaled.T
-    return limited
-
-
-def _refined_along(
-    problem: EpipolarProblem, start: RelativePose, told: Float[ndarray, "5 k"], noise_px: float
-) -> RelativePose:
-    """The best estimate reached by steps in some directions only, the kernel closing as ever."""
-    current = start
-    if told.shape[1] == 0:
-        return current
-    for scale_px in (*SCHEDULE_PX, *([noise_px] * KEPT_STEPS)):
-        kernel = "tukey" if scale_px == noise_px else "geman"
-        for _ in range(2):
-            equations = problem.linearize(current, np.asarray(scale_px), kernel)
-            J = equations.jacobian @ told
-            H = J.T @ (equations.weights[:, None] * J)
-            g = -J.T @ (equations.weights * equations.residuals_px)
-            current = current.stepped(told @ np.linalg.solve(H + 1e-9 * (np.trace(H) + 1e-9) * np.eye(len(H)), g))
-    return current
 
 
 def _calibration(
