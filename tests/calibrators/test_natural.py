@@ -175,3 +175,19 @@ def test_a_kept_pose_that_hardly_a_match_agrees_with_is_refused():
     known = replace(known, guess=lambda found: estimate_relative_pose(pair, found.left_px, found.right_px))
     with pytest.raises(InconsistentViewsError, match="of 258 matches agree with one pose"):
         calibrate_from_matches(drawn.matches, known)
+
+
+def test_matches_that_fit_but_lie_behind_the_cameras_have_no_part():
+    """A repeat along the row, level with the rig: its points seem to lie beyond infinity."""
+    found = simulate_matches(RIG, 400, np.random.default_rng(12), noise_px=0.1)
+    rays = RIG.left.unproject(found.matches.left_px[:60])
+    shifted = RIG.right.project(T_RIGHT_LEFT.R @ np.array([0.1, 0.0, 0.0]) + rays @ T_RIGHT_LEFT.R.T)
+    right = found.matches.right_px.copy()
+    right[:60] = shifted
+    inside = ((right > 0) & (right < SIZE)).all(axis=1)
+    matches = replace(found.matches, right_px=right).select(inside)
+    calibration = solve(matches, old=T_RIGHT_LEFT)
+    n_behind = int(inside[:60].sum())
+    assert n_behind > 40
+    assert calibration.provenance["n_right"] <= len(matches) - n_behind
+    assert difference_deg(calibration)[0] < 0.1
