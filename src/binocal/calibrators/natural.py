@@ -53,6 +53,7 @@ MIN_SIDE_SHARE = 0.1  # of clear points: with fewer on either side, they do not 
 NEAR_NOISE = 3.0
 BEHIND_PX, BEHIND_NOISE = 8.0, 20.0
 """Parallax of a point, in pixels and of the noise, at which no error of the pose makes it lie behind a camera."""
+MOST_BEHIND_SHARE = 0.2  # of the clear ones that fit; where 40 % of all matches are wrong it is 0.05
 KEPT_ROUNDS = 3
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
 """Of the noise, and so many matches, for the direction of the translation to be told at all."""
@@ -204,14 +205,15 @@ def _on_the_visible_side(
 
 
 def _behind(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> Bool[ndarray, "n"]:
-    """Which matches are wrong although they fit, their points lying behind a camera; none where most that fit would.
+    """Which matches are wrong although they fit, their points lying behind a camera.
 
-    Of simulated wrong matches that pass for right, most of what repeats along the row, this names a third.
+    Of simulated wrong matches that pass for right, most of them repeats along the row, this names a third. None where many of those
+    that fit would be: then the pose is wrong, or hardly told.
     """
     parallax_px, side = parallax_and_sides(problem, estimate)
     is_clear = parallax_px > max(BEHIND_PX, BEHIND_NOISE * noise_px)
     fits = is_clear & (np.abs(problem.residuals_px(estimate)) < NEAR_NOISE * noise_px)
-    if (side[fits] > 0).sum() <= (side[fits] < 0).sum():
+    if (side[fits] < 0).sum() > MOST_BEHIND_SHARE * fits.sum():
         return np.zeros(len(side), dtype=bool)
     behind: Bool[ndarray, "n"] = is_clear & (side < 0)
     return behind
