@@ -8,7 +8,7 @@ import pytest
 from binocal.benchmark import natural
 from binocal.geometry import so3
 from binocal.simulation import MatchDistribution
-from binocal.solvers.epipolar import RelativePose
+from binocal.solvers.relative_pose import RelativePose
 
 
 @pytest.mark.slow

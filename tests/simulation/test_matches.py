@@ -16,7 +16,8 @@ from binocal.simulation import (
     table2_rig,
 )
 from binocal.simulation.surroundings import SURROUNDINGS, draw_planes
-from binocal.solvers.epipolar import EpipolarProblem, RelativePose, parallax_and_sides
+from binocal.solvers.epipolar import EpipolarProblem, parallax_and_sides
+from binocal.solvers.relative_pose import RelativePose
 
 
 def residuals_px(found):

@@ -14,7 +14,8 @@ from binocal.simulation import SceneOptions, draw_textured_scene, render_scene_i
 from binocal.simulation.scene_renderer import render_scene_light
 from binocal.simulation.textured_scenes import TexturedPatch
 from binocal.simulation.textures import Texture, grain, slats
-from binocal.solvers.epipolar import EpipolarProblem, RelativePose
+from binocal.solvers.epipolar import EpipolarProblem
+from binocal.solvers.relative_pose import RelativePose
 
 SIZE = (400, 300)
 T = SE3(so3.exp(np.radians([0.5, -1.0, 0.7])), np.array([-0.3, 0.004, 0.01]))

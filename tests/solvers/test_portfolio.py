@@ -9,8 +9,9 @@ from binocal.geometry import so3
 from binocal.rl.match_batches import MATCH_SETS, sample_matches, sample_starts
 from binocal.solvers.arrays import take_rigs
 from binocal.solvers.chosen_scale import CHOSEN_SCALE
-from binocal.solvers.epipolar import EpipolarProblem, Rays, RelativePose, cost_at
-from binocal.solvers.portfolio import PORTFOLIO, compete, cost_beside, is_near
+from binocal.solvers.epipolar import EpipolarProblem, Rays
+from binocal.solvers.portfolio import PORTFOLIO, compete, cost_beside, cost_of_seen, is_near
+from binocal.solvers.relative_pose import RelativePose
 from streets import T_RIGHT_LEFT, cameras, street
 
 TRUTH = RelativePose.of(T_RIGHT_LEFT)
@@ -58,8 +59,11 @@ def test_what_lies_behind_the_cameras_counts_as_wrong(problem):
     mirrored = EpipolarProblem(
         Rays(-problem.left.directions, problem.left.by_pixel), Rays(-problem.right.directions, problem.right.by_pixel)
     )
-    assert cost_at(mirrored, TRUTH) == pytest.approx(float(cost_at(problem, TRUTH)))
+    np.testing.assert_allclose(np.abs(mirrored.residuals_px(TRUTH)), np.abs(problem.residuals_px(TRUTH)))
     assert cost_beside(mirrored, TRUTH, TRUTH) > cost_beside(problem, TRUTH, TRUTH) + 0.4 * 100
+    backward = RelativePose(TRUTH.R, -TRUTH.t)
+    seen = [float(cost_of_seen(problem, pose, None, 0.5)) for pose in (TRUTH, backward)]
+    assert seen[0] == seen[1] == pytest.approx(float(cost_of_seen(problem, TRUTH, TRUTH, 0.5)))
 
 
 def test_outside_the_old_rigs_bounds_everything_costs_more(problem):

@@ -27,7 +27,8 @@ from binocal.metrics.rows import RowFigures, row_figures
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import Covariance, ResidualSummary, StereoCalibration
 from binocal.shapes import Float
-from binocal.solvers.epipolar import EpipolarProblem, RelativePose
+from binocal.solvers.epipolar import EpipolarProblem
+from binocal.solvers.relative_pose import RelativePose
 from binocal.solvers.robust import TUKEY_END
 
 MAX_PAIRS = (
@@ -74,7 +75,7 @@ class NaturalOptions:
     progress: ProgressCallback | None = None
     should_stop: ShouldStop | None = None
     calibrator: str = "drl"
-    """See :func:`binocal.calibrators.natural_starts.solves_of`."""
+    """See :func:`binocal.calibrators.natural_solves.solves_of`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,8 +18,9 @@ from binocal.rl.policy import LearnedController, Policy, shipped_policy
 from binocal.rl.street_evaluation import AGENT, FoundRow, StreetCase, compare_on_matches, street_case
 from binocal.simulation.matches import sample_match_problems
 from binocal.solvers.arrays import stack_rigs, take_rigs
-from binocal.solvers.epipolar import RelativePose, steer
+from binocal.solvers.epipolar_descent import steer
 from binocal.solvers.portfolio import PORTFOLIO, Led
+from binocal.solvers.relative_pose import RelativePose
 
 N_TIMED = 50
 

@@ -1,13 +1,12 @@
 """Rotation and direction of translation from natural images: matches of many pairs, intrinsics held.
 
-Starts compete by the cost under a kernel of one pixel: the old rig, what matches alone give, two plain guesses. An old rig bounds
+Starts compete (:mod:`binocal.calibrators.natural_start`): the old rig, what matches alone give, two plain guesses. An old rig bounds
 the choice, since structured wrong matches may well have the lower cost elsewhere. What the scene does not tell stays as it was.
 The length of the translation is never told by matches.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +24,8 @@ from binocal.calibrators.natural_checks import (
     refuse_whole_rows,
     refuse_wrong,
 )
-from binocal.calibrators.natural_starts import ClosedStart, closed_from_guesses, closed_from_old_rig, solves_of
+from binocal.calibrators.natural_start import BestStart, Guess, best_start
+from binocal.calibrators.natural_untold import limited_to_kept, untold_finding, untold_part, with_untold_kept
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -34,17 +34,7 @@ from binocal.geometry import SE3, so3
 from binocal.progress import ProgressCallback
 from binocal.result import Covariance, ResidualSummary, StereoCalibration, ViewResult
 from binocal.shapes import Bool, Float
-from binocal.solvers.epipolar import (
-    NOISE_FLOOR_PX,
-    SCHEDULE_PX,
-    EpipolarEquations,
-    EpipolarProblem,
-    Rays,
-    RelativePose,
-    finish,
-    parallax_and_sides,
-    tangents,
-)
+from binocal.solvers.epipolar import NOISE_FLOOR_PX, EpipolarEquations, EpipolarProblem, Rays, parallax_and_sides
 from binocal.solvers.epipolar_covariance import (
     covariance_by_regions,
     covariance_of_noise,
@@ -52,17 +42,19 @@ from binocal.solvers.epipolar_covariance import (
     slopes_by_intrinsics,
     steps_by_intrinsics,
 )
+from binocal.solvers.epipolar_descent import finish
 from binocal.solvers.epipolar_diagnosis import clearest_ask
+from binocal.solvers.relative_pose import RelativePose, tangents
 
-UNTOLD_TURN_DEG, UNTOLD_DIRECTION_DEG = 1.0, 12.0
-"""Standard deviations above which a scene does not tell a direction of the pose."""
 ASSUMED_FOCAL_SHARE, ASSUMED_ASPECT_SHARE, ASSUMED_CENTRE_PX = 4e-4, 2e-4, 0.25
 ASSUMED_DISTORTION = {"k1": 8e-4, "k2": 1.6e-3, "p1": 5e-5, "p2": 5e-5}
 """What intrinsics are uncertain by where nobody says: as a good calibration from a board leaves them."""
 MIN_SIDE_SHARE = 0.1  # of clear points: with fewer on either side, they do not lie on both
 NEAR_NOISE = 3.0
+BEHIND_PX, BEHIND_NOISE = 8.0, 20.0
+"""Parallax of a point, in pixels and of the noise, at which no error of the pose makes it lie behind a camera."""
+MOST_BEHIND_SHARE = 0.2  # of the clear ones that fit; where 40 % of all matches are wrong it is 0.05
 KEPT_ROUNDS = 3
-KEPT_STEPS = 5  # pairs of steps under the last kernel
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
 """Of the noise, and so many matches, for the direction of the translation to be told at all."""
 
@@ -81,12 +73,12 @@ class NaturalRequest:
     baseline_sigma_m: float = 0.0
     length_from: str = "nothing: lengths are in baselines"
     intrinsics: Covariance | None = None
-    guess: Callable[[PointMatches], SE3 | None] | None = None
+    guess: Guess | None = None
     """A first guess from matches alone (:mod:`binocal.matching.relative_pose`)."""
     seed: int = 0
     progress: ProgressCallback | None = None
     calibrator: str = "drl"
-    """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_starts.solves_of`."""
+    """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_solves.solves_of`."""
 
 
 def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> StereoCalibration:
@@ -98,7 +90,7 @@ def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> St
     """
     solved = _solve(matches, request)
     findings: list[Finding] = []
-    odd = contradicting_pairs(solved.problem, solved.matches, solved.estimate, solved.is_right, solved.noise_px)
+    odd = contradicting_pairs(solved.problem, solved.matches, solved.estimate, solved.noise_px)
     if odd and matches.n_pairs > 1:
         findings.append(pairs_left_out(solved.matches, odd, request.old is not None))
         solved = _solve(matches.of_pairs([i for i in range(matches.n_pairs) if i not in odd]), request)
@@ -114,7 +106,7 @@ class _Solved:
     estimate: RelativePose
     equations: EpipolarEquations
     noise_px: float
-    start: ClosedStart
+    best: BestStart
 
     @property
     def is_right(self) -> Bool[ndarray, "n"]:
@@ -131,13 +123,19 @@ def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
         raise refusal(finding("matches-too-few", n_matches=n_seen, n_pairs=matches.n_pairs, n_needed=MIN_MATCHES))
     matches = matches.select(has_rays)
     refuse_whole_rows(matches)
-    closed = _closed(problem, matches, request)
-    minimum = finish(problem, closed.estimate)
+    rng = np.random.default_rng(request.seed)
+    best = best_start(problem, matches, request.old, request.guess, rng, request.calibrator)
+    minimum = finish(problem, best.estimate)
     noise_px = max(float(minimum.scale_px), NOISE_FLOOR_PX)
     estimate = _on_the_visible_side(problem, minimum.estimate, noise_px, request.old)
+    is_seen = ~_behind(problem, estimate, noise_px)
+    if not is_seen.all():
+        problem = replace(problem, counts=is_seen.astype(float))
+        minimum = finish(problem, estimate)
+        noise_px, estimate = max(float(minimum.scale_px), NOISE_FLOOR_PX), minimum.estimate
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
     refuse_rectified(problem, matches, request.old, noise_px)
-    solved = _Solved(problem, matches, estimate, equations, noise_px, closed)
+    solved = _Solved(problem, matches, estimate, equations, noise_px, best)
     refuse_wrong(matches, solved.is_right, noise_px)
     return solved
 
@@ -150,29 +148,30 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     rng = np.random.default_rng(request.seed)
     covariance, random = _covariance(solved, request, of_cameras, slopes)
     kept: list[Finding] = []
-    untold = _untold_part(covariance)
+    untold = untold_part(covariance)
     if untold is not None:
-        kept.append(_untold_finding(covariance, is_kept=request.old is not None))
+        kept.append(untold_finding(covariance, is_kept=request.old is not None))
         if request.old is None:
             raise refusal(kept[0])
         for _ in range(KEPT_ROUNDS):  # what a scene tells depends on the pose at which it is asked
-            estimate = _kept(problem, untold, RelativePose.of(request.old), noise_px)
+            estimate = with_untold_kept(problem, untold, RelativePose.of(request.old), noise_px)
             equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
             solved = replace(solved, estimate=estimate, equations=equations)
+            refuse_wrong(matches, solved.is_right, noise_px)
             slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
             covariance, random = _covariance(solved, request, of_cameras, slopes)
-            again = _untold_part(covariance)
+            again = untold_part(covariance)
             untold = untold if again is None else again
-        covariance = _limited(covariance)
+        covariance = limited_to_kept(covariance)
     regions = regions_of(matches.left_px, request.cameras[0].size_wh)
     ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, slopes), rng)
     direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))
-    refuse_other_rig(estimate, request.old, direction_sigma_deg, ask)
+    refuse_other_rig(estimate, request.old, direction_sigma_deg, ask, noise_px)
     if ask is not None:
         findings.append(
             finding("matches-ask-for-other-cameras", what=asked(ask), saved_percent=100 * ask.fall, parameter=ask.name)
         )
-    return _calibration(matches, request, estimate, (covariance, random), (noise_px, solved.start), (*findings, *kept))
+    return _calibration(solved, request, (covariance, random), (*findings, *kept))
 
 
 def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarray, "p"]) -> Float[ndarray, "n p"]:
@@ -184,19 +183,6 @@ def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarra
         return EpipolarProblem(left, right)
 
     return slopes_by_intrinsics(of_other_cameras, cameras, solved.estimate, sigma, len(matches))
-
-
-def _closed(problem: EpipolarProblem, matches: PointMatches, request: NaturalRequest) -> ClosedStart:
-    """Where the kernel closed from the best start."""
-    found = request.guess(matches) if request.guess is not None else None
-    guess = None if found is None else RelativePose.of(found)
-    if request.old is not None:
-        old, solves = RelativePose.of(request.old), solves_of(request.calibrator)
-        return closed_from_old_rig(problem, old, guess, solves, request.seed)
-    starts = {} if guess is None else {"matches": guess}
-    for name, t in (("side by side", [-1.0, 0.0, 0.0]), ("one above the other", [0.0, -1.0, 0.0])):
-        starts[name] = RelativePose(np.eye(3), np.array(t))
-    return closed_from_guesses(problem, starts)
 
 
 def _all_far(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> bool:
@@ -216,6 +202,21 @@ def _on_the_visible_side(
     if old is not None and MIN_SIDE_SHARE * n_clear < n_front < (1 - MIN_SIDE_SHARE) * n_clear:
         is_reversed = bool(estimate.t @ old.t < 0)
     return RelativePose(estimate.R, -estimate.t) if is_reversed else estimate
+
+
+def _behind(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> Bool[ndarray, "n"]:
+    """Which matches are wrong although they fit, their points lying behind a camera.
+
+    Of simulated wrong matches that pass for right, most of them repeats along the row, this names a third. None where many of those
+    that fit would be: then the pose is wrong, or hardly told.
+    """
+    parallax_px, side = parallax_and_sides(problem, estimate)
+    is_clear = parallax_px > max(BEHIND_PX, BEHIND_NOISE * noise_px)
+    fits = is_clear & (np.abs(problem.residuals_px(estimate)) < NEAR_NOISE * noise_px)
+    if (side[fits] < 0).sum() > MOST_BEHIND_SHARE * fits.sum():
+        return np.zeros(len(side), dtype=bool)
+    behind: Bool[ndarray, "n"] = is_clear & (side < 0)
+    return behind
 
 
 def _covariance(
@@ -273,73 +274,18 @@ def intrinsics_covariance(cameras: tuple[Camera, Camera], known: Covariance | No
     return out
 
 
-UNIT = np.radians([UNTOLD_TURN_DEG] * 3 + [UNTOLD_DIRECTION_DEG] * 2)
-
-
-def _untold_part(covariance: Float[ndarray, "q q"]) -> Float[ndarray, "5 k"] | None:
-    """Directions of the five unknowns, in :data:`UNIT`, that the scene does not tell, at right angles; None if it tells all."""
-    values, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
-    return vectors[:, values > 1.0] if values[-1] > 1.0 else None
-
-
-def _untold_finding(covariance: Float[ndarray, "q q"], *, is_kept: bool) -> Finding:
-    _, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
-    sigma = np.degrees(np.sqrt(np.diagonal(covariance)[:5]))
-    words = ("pitch", "yaw", "roll", "the direction of T", "the direction of T")
-    code = "scene-tells-too-little-kept" if is_kept else "scene-tells-too-little"
-    what = words[int(np.argmax(np.abs(vectors[:, -1])))]
-    return finding(code, what=what, turn_sigma_deg=float(sigma[:3].max()), direction_sigma_deg=float(sigma[3:].max()))
-
-
-def _kept(problem: EpipolarProblem, untold: Float[ndarray, "5 k"], old: RelativePose, noise_px: float) -> RelativePose:
-    """The best pose that agrees with the old one in what the scene does not tell."""
-    told = np.linalg.svd(untold, full_matrices=True)[0][:, untold.shape[1] :]
-    return _refined_along(problem, old, UNIT[:, None] * told, noise_px)
-
-
-def _limited(covariance: Float[ndarray, "q q"]) -> Float[ndarray, "q q"]:
-    """What was kept is taken to be known to one unit: the old rig's own uncertainty is not asked for."""
-    values, vectors = np.linalg.eigh(covariance[:5, :5] / np.outer(UNIT, UNIT))
-    scaled = UNIT[:, None] * vectors
-    limited = np.array(covariance)
-    limited[:5, :5] = scaled @ np.diag(np.minimum(values, 1.0)) @ scaled.T
-    return limited
-
-
-def _refined_along(
-    problem: EpipolarProblem, start: RelativePose, told: Float[ndarray, "5 k"], noise_px: float
-) -> RelativePose:
-    """The best estimate reached by steps in some directions only, the kernel closing as ever."""
-    current = start
-    if told.shape[1] == 0:
-        return current
-    for scale_px in (*SCHEDULE_PX, *([noise_px] * KEPT_STEPS)):
-        kernel = "tukey" if scale_px == noise_px else "geman"
-        for _ in range(2):
-            equations = problem.linearize(current, np.asarray(scale_px), kernel)
-            J = equations.jacobian @ told
-            H = J.T @ (equations.weights[:, None] * J)
-            g = -J.T @ (equations.weights * equations.residuals_px)
-            current = current.stepped(told @ np.linalg.solve(H + 1e-9 * (np.trace(H) + 1e-9) * np.eye(len(H)), g))
-    return current
-
-
 def _calibration(
-    matches: PointMatches,
+    solved: _Solved,
     request: NaturalRequest,
-    estimate: RelativePose,
     covariances: tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]],
-    known: tuple[float, ClosedStart],
     findings: tuple[Finding, ...],
 ) -> StereoCalibration:
-    (noise_px, closed), (covariance, random) = known, covariances
+    matches, estimate, is_right, (covariance, random) = solved.matches, solved.estimate, solved.is_right, covariances
     length = request.baseline_m if request.baseline_m is not None else 1.0
     rig = StereoRig(
         *request.cameras, SE3(so3.project_to_rotation(estimate.R), length * estimate.t), request.baseline_m is not None
     )
-    problem, _ = EpipolarProblem.of_matches(request.cameras, matches)
-    residuals = problem.residuals_px(estimate)
-    is_right = np.abs(residuals) < 4.685 * noise_px
+    residuals = solved.equations.residuals_px
     views = []
     for pair, name in enumerate(matches.names):
         own = (matches.pair == pair) & is_right
@@ -364,13 +310,13 @@ def _calibration(
         rig=rig,
         covariance=Covariance(tuple(all_names[i] for i in told), full[np.ix_(told, told)]),
         rms=ResidualSummary(rms, rms, rms),
-        noise_px=noise_px,
+        noise_px=solved.noise_px,
         views=tuple(views),
         findings=findings,
         provenance={
             "method": "natural images",
-            "start": closed.start,
-            "agent": dict(closed.led_by),
+            "start": solved.best.start,
+            "agent": dict(solved.best.led_by),
             "n_matches": len(matches),
             "n_right": int(is_right.sum()),
             "random_rotation_covariance_rad2": random[:3, :3].tolist(),

@@ -13,8 +13,10 @@ from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3, so3
 from binocal.shapes import Bool, Float
-from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, RelativePose, parallax_and_sides
+from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, parallax_and_sides
 from binocal.solvers.epipolar_diagnosis import Ask
+from binocal.solvers.relative_pose import RelativePose
+from binocal.solvers.robust import TUKEY_END
 
 MIN_MATCHES = 30
 MIN_RIGHT_SHARE = 0.15  # of the matches; unfiltered ones of self-similar scenes keep 0.2 and more
@@ -24,6 +26,7 @@ CLEAR_PX, CLEAR_NOISE, MIN_CLEAR = 3.0, 10.0, 20
 """Parallax, in pixels and of the noise, and of how many points, for the side on which they lie to be told."""
 MOST_TURN_DEG, MOST_DIRECTION_DEG, MOST_SIGMAS = 15.0, 6.0, 3.0
 """From the rig that was given; beyond them it was not bent by heat or a knock, and the direction moves by no more than the turn else."""
+MOST_NOISE_PX = 1.0  # no matcher leaves more; what another parameter of the cameras would take away of it is theirs
 UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
 RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
 """Median difference of matches' rows as they are, and by the rig given, for images that were rectified before; the former's share of
@@ -69,10 +72,10 @@ def contradicting_pairs(
     problem: EpipolarProblem,
     matches: PointMatches,
     estimate: RelativePose,
-    is_right: Bool[ndarray, "n"],
     noise_px: float,
 ) -> dict[int, str]:
     """Pairs that show another rig than all together, and why: few of their matches fit, or their points lie behind the cameras."""
+    is_right = np.abs(problem.residuals_px(estimate)) < TUKEY_END * noise_px
     usual = is_right.mean()
     is_clear, is_in_front = clear_sides(problem, estimate, noise_px)
     found: dict[int, str] = {}
@@ -107,8 +110,10 @@ def named(texts: list[str]) -> str:
     return ", ".join(texts[:NAMED]) + more
 
 
-def refuse_other_rig(estimate: RelativePose, given: SE3 | None, direction_sigma_deg: float, ask: Ask | None) -> None:
-    """Raises InconsistentViewsError: the rig that was given cannot have become the one that the images show."""
+def refuse_other_rig(
+    estimate: RelativePose, given: SE3 | None, direction_sigma_deg: float, ask: Ask | None, noise_px: float
+) -> None:
+    """Raises InconsistentViewsError: the rig that was given cannot have become the one that the images show, or has other cameras."""
     if given is None:
         return
     old = RelativePose.of(given)
@@ -116,7 +121,8 @@ def refuse_other_rig(estimate: RelativePose, given: SE3 | None, direction_sigma_
     turn_deg = float(np.degrees(so3.angle_rad(rotation)))
     direction_deg = float(np.degrees(np.arccos(np.clip(estimate.t @ old.t, -1, 1))))
     most_deg = MOST_DIRECTION_DEG + MOST_SIGMAS * direction_sigma_deg + min(turn_deg, MOST_TURN_DEG)
-    if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg:
+    has_other_cameras = ask is not None and noise_px > MOST_NOISE_PX
+    if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg and not has_other_cameras:
         return
     if turn_deg > UPSIDE_DOWN_DEG:
         cause = "one camera's images are upside down against the other's, as the rig's file does not have them"

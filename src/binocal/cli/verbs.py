@@ -1042,7 +1042,7 @@ def _check_calibrator(name: str) -> None:
 
 
 def _check_natural_calibrator(name: str) -> None:
-    from binocal.calibrators.natural_starts import NATURAL_CALIBRATORS, solves_of
+    from binocal.calibrators.natural_solves import NATURAL_CALIBRATORS, solves_of
 
     if name in NATURAL_CALIBRATORS:
         return

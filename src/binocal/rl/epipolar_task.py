@@ -15,9 +15,11 @@ from binocal.geometry import so3
 from binocal.rl.task import TaskState, raised_damping, sound_action
 from binocal.shapes import Float
 from binocal.solvers.chosen_scale import CHOSEN_SCALE
-from binocal.solvers.epipolar import KERNEL, START_SCALE_PX, EpipolarProblem, EpipolarState, RelativePose
+from binocal.solvers.epipolar import EpipolarProblem
+from binocal.solvers.epipolar_descent import KERNEL, START_SCALE_PX, EpipolarState
 from binocal.solvers.loop import advance, begin
 from binocal.solvers.loop_state import Action
+from binocal.solvers.relative_pose import RelativePose
 
 N_STEPS = 12
 CHOSEN = ("log kernel scale, px", "log damping")

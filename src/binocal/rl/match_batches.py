@@ -16,8 +16,10 @@ from binocal.rl.task import Judgement, TaskState
 from binocal.shapes import Bool, Float
 from binocal.simulation.matches import MatchDistribution, sample_match_problems
 from binocal.solvers.arrays import SHARED, take_rigs
-from binocal.solvers.epipolar import EpipolarProblem, EpipolarState, Rays, RelativePose, descend
+from binocal.solvers.epipolar import EpipolarProblem, Rays
+from binocal.solvers.epipolar_descent import EpipolarState, descend
 from binocal.solvers.portfolio import POLISH_PX
+from binocal.solvers.relative_pose import RelativePose
 
 FOUND_SIGMA = 3.0  # root mean square over the five unknowns
 

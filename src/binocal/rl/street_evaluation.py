@@ -19,8 +19,10 @@ from binocal.rl.match_batches import MATCH_SETS, MatchBatch, has_found, polished
 from binocal.rl.policy import Policy
 from binocal.shapes import Bool, Float
 from binocal.solvers.arrays import choose_rigs
-from binocal.solvers.epipolar import EpipolarProblem, RelativePose, descend
+from binocal.solvers.epipolar import EpipolarProblem
+from binocal.solvers.epipolar_descent import descend
 from binocal.solvers.portfolio import PORTFOLIO, compete, cost_beside
+from binocal.solvers.relative_pose import RelativePose
 
 AGENT, ITS_MEAN, ITS_STEPS, OTHERS = (
     "agent, one solve",

@@ -4,10 +4,6 @@ The residual of a match is its signed Sampson distance in the pixels of the imag
 points must move, to first order, to lie on one epipolar plane. Five unknowns, two spheres' worth of which nothing else tells: the
 scale of the translation has no part in it. Source: Sampson 1982; Hartley & Zisserman 2004, section 11.4.3, here with the
 derivatives of rays by pixels in place of the pinhole's.
-
-Its loop is that of every problem (:mod:`binocal.solvers.loop`). What is special is the kernel's scale: half of the matches and more
-may be wrong, so that no median tells the noise of the right ones. It is closed in pixels first, 64 to 1, which match noise is
-known to lie below, and only then measured.
 """
 
 from __future__ import annotations
@@ -19,23 +15,13 @@ from numpy import ndarray
 
 from binocal.cameras import Camera
 from binocal.evidence.point_matches import PointMatches
-from binocal.geometry import SE3, so3
+from binocal.geometry import so3
 from binocal.shapes import Bool, Float
 from binocal.solvers import robust
-from binocal.solvers.chosen_scale import CHOSEN_SCALE, Counted
-from binocal.solvers.controllers import Marquardt, Schedule
-from binocal.solvers.loop import begin, run
-from binocal.solvers.loop_state import Controller, LoopState
-from binocal.solvers.minimization import START_DAMPING, LoopOptions, Minimum, minimize
+from binocal.solvers.relative_pose import PosePrior, PriorPull, RelativePose, tangents
 
-SCHEDULE_PX = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
-KERNEL = "geman"
-START_SCALE_PX = 16.0  # that a controller sees the start under
-STEPS_EACH = 2
-LAST_STEPS = 20
 NOISE_FLOOR_PX = 0.02  # no window is matched better; keeps matches on whole rows from passing for exact
 MAD_TO_SIGMA = 1.4826
-NEAR_PX = 4.0  # beyond it nothing carries weight at the end; the median is then that of matches that may be right
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,47 +51,6 @@ class Rays:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RelativePose:
-    """Rotation and unit translation: p_right = R p_left + length t."""
-
-    R: Float[ndarray, "*batch 3 3"]
-    t: Float[ndarray, "*batch 3"]
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """The batch's dimensions."""
-        return self.t.shape[:-1]
-
-    @staticmethod
-    def of(T_right_left: SE3) -> RelativePose:
-        """Without the length of the translation."""
-        t = T_right_left.t
-        return RelativePose(T_right_left.R, t / np.linalg.norm(t, axis=-1, keepdims=True))
-
-    def stepped(self, xi: Float[ndarray, "*batch 5"]) -> RelativePose:
-        """Turned from the left by the first three; the direction of t along the last two of :func:`tangents`."""
-        turn = so3.exp((tangents(self.t) @ xi[..., 3:, None])[..., 0])
-        t = (turn @ self.t[..., None])[..., 0]
-        return RelativePose(so3.exp(xi[..., :3]) @ self.R, t / np.linalg.norm(t, axis=-1, keepdims=True))
-
-    def step_to(self, other: RelativePose) -> Float[ndarray, "*batch 5"]:
-        """What :meth:`stepped` would take to arrive at another pose, whichever way its translation points."""
-        sign = np.where(np.sum(self.t * other.t, axis=-1, keepdims=True) < 0, -1.0, 1.0)
-        axis = np.cross(self.t, sign * other.t)
-        length = np.linalg.norm(axis, axis=-1, keepdims=True)
-        angle = np.arctan2(length, np.abs(np.sum(self.t * other.t, axis=-1, keepdims=True)))
-        turn = (tangents(self.t).swapaxes(-1, -2) @ axis[..., None])[..., 0] * angle / np.maximum(length, 1e-300)
-        return np.concatenate([so3.log(other.R @ self.R.swapaxes(-1, -2)), turn], axis=-1)
-
-
-def tangents(t: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 2"]:
-    """Two axes about which a turn moves a direction, at right angles to it and to each other."""
-    first = np.cross(t, np.eye(3)[np.argmin(np.abs(t), axis=-1)])
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.stack([first, np.cross(t, first)], axis=-1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class EpipolarEquations:
     """Residuals, weights and normal equations (see :class:`binocal.solvers.problem.Equations`)."""
 
@@ -114,6 +59,7 @@ class EpipolarEquations:
     weights: Float[ndarray, "*batch n"]
     cost_px2: Float[ndarray, "*batch"]
     counts: Float[ndarray, "*batch n"] | None = None
+    pull: PriorPull | None = None
 
     @property
     def r2_px2(self) -> tuple[Float[ndarray, "*batch n"], ...]:
@@ -126,17 +72,29 @@ class EpipolarEquations:
         weights, costs = robust.weights(r2, scale, kernel), robust.costs(r2, scale, kernel)
         if self.counts is not None:
             weights, costs = self.counts * weights, self.counts * costs
-        return replace(self, weights=weights, cost_px2=np.asarray(costs.sum(axis=-1)))
+        cost = np.asarray(costs.sum(axis=-1))
+        if self.pull is None:
+            return replace(self, weights=weights, cost_px2=cost)
+        pull = replace(self.pull, scale_px=np.asarray(scale_px))
+        return replace(self, weights=weights, cost_px2=cost + pull.cost_px2, pull=pull)
 
     def cost_under(self, scale_px: Float[ndarray, "*batch"], kernel: robust.Kernel) -> Float[ndarray, "*batch"]:
         """Robust cost of the same residuals under another scale of the kernel."""
         costs = robust.costs(self.residuals_px**2, np.asarray(scale_px)[..., None], kernel)
-        return np.asarray((costs if self.counts is None else self.counts * costs).sum(axis=-1))
+        cost = np.asarray((costs if self.counts is None else self.counts * costs).sum(axis=-1))
+        return cost if self.pull is None else cost + replace(self.pull, scale_px=np.asarray(scale_px)).cost_px2
 
     @property
     def information(self) -> Float[ndarray, "*batch 5 5"]:
-        """Of the unknowns, for unit noise, by the kernel's weights."""
-        return self.jacobian.swapaxes(-1, -2) @ (self.weights[..., None] * self.jacobian)
+        """Of the unknowns, for unit noise, by the kernel's weights and the prior."""
+        H = self.jacobian.swapaxes(-1, -2) @ (self.weights[..., None] * self.jacobian)
+        return H if self.pull is None else H + self.pull.information_px2[..., None] * np.eye(5)
+
+    @property
+    def downhill(self) -> Float[ndarray, "*batch 5"]:
+        """The negative gradient of the cost."""
+        g = -np.einsum("...nk,...n->...k", self.jacobian, self.weights * self.residuals_px)
+        return g if self.pull is None else g + self.pull.downhill_px2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +117,7 @@ class EpipolarProblem:
     counts: Float[ndarray, "*batch n"] | None = None
     """How often each match counts, 0 for those that fill up the shorter sets of a batch; None: once."""
     scale_px: float | None = None
+    prior: PosePrior | None = None
 
     @staticmethod
     def of_matches(cameras: tuple[Camera, Camera], matches: PointMatches) -> tuple[EpipolarProblem, Bool[ndarray, "n"]]:
@@ -221,7 +180,8 @@ class EpipolarProblem:
         ]
         jacobian = by_E.reshape(*by_E.shape[:-2], 9) @ _essential_derivatives(estimate)
         counts = None if self.counts is None else np.broadcast_to(self.counts, s.shape)
-        unweighted = EpipolarEquations(s, jacobian, s, np.zeros(s.shape[:-1]), counts)
+        pull = None if self.prior is None else self.prior.pull_on(estimate, np.broadcast_to(scale_px, s.shape[:-1]))
+        unweighted = EpipolarEquations(s, jacobian, s, np.zeros(s.shape[:-1]), counts, pull)
         return unweighted.under(scale_px, kernel)
 
     def solve_step(
@@ -229,11 +189,11 @@ class EpipolarProblem:
     ) -> EpipolarStep:
         """Levenberg-Marquardt step with Marquardt's scaling; NaN where the equations are not finite."""
         H = equations.information
-        g = -np.einsum("...nk,...n->...k", equations.jacobian, equations.weights * equations.residuals_px)
+        g = equations.downhill
         size = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
         A = H / (size[..., :, None] * size[..., None, :])
         A = A + (np.asarray(damping) + 1e-12)[..., None, None] * np.eye(5)
-        is_sound = np.isfinite(A).all(axis=(-1, -2)) & np.isfinite(g).all(axis=-1)
+        is_sound = np.asarray(np.isfinite(A).all(axis=(-1, -2)) & np.isfinite(g).all(axis=-1))
         A = np.where(is_sound[..., None, None], A, np.eye(5))
         xi = np.linalg.solve(A, (g / size)[..., None])[..., 0] / size
         xi = np.where(is_sound[..., None], xi, np.nan)
@@ -256,43 +216,6 @@ def _essential_derivatives(estimate: RelativePose) -> Float[ndarray, "*batch 9 5
     moved = np.cross(tangents(estimate.t).swapaxes(-1, -2), estimate.t[..., None, :])
     both = np.concatenate([by_rotation, so3.hat(moved) @ R], axis=-3)
     return both.reshape(*both.shape[:-2], 9).swapaxes(-1, -2)
-
-
-EpipolarMinimum = Minimum[RelativePose, EpipolarEquations]
-EpipolarState = LoopState[RelativePose, EpipolarEquations, EpipolarStep]
-
-
-def descend(
-    problem: EpipolarProblem,
-    start: RelativePose,
-    schedule_px: tuple[float, ...] = SCHEDULE_PX,
-    *,
-    steps_each: int = STEPS_EACH,
-) -> RelativePose:
-    """The estimate after the kernel has closed in pixels (Geman & McClure 1985)."""
-    scales = tuple(scale for scale in schedule_px for _ in range(steps_each))
-    return steer(problem, start, Marquardt(START_DAMPING, schedule=Schedule(scales)), len(scales))
-
-
-def steer(problem: EpipolarProblem, start: RelativePose, controller: Controller, n_iterations: int) -> RelativePose:
-    """The estimate after iterations in which a controller chose scale, in pixels, and damping."""
-    known = replace(problem, scale_px=1.0)
-    state = begin(known, start, KERNEL, rules=CHOSEN_SCALE, scale_factor=START_SCALE_PX)
-    return run(known, state, controller, KERNEL, CHOSEN_SCALE, Counted(n_iterations)).estimate
-
-
-def finish(problem: EpipolarProblem, start: RelativePose) -> EpipolarMinimum:
-    """The minimum under Tukey's kernel, its scale from the residuals of what is left within a few pixels."""
-    near = np.abs(problem.residuals_px(start)) < NEAR_PX
-    part = replace(problem.select(near), scale_px=None)
-    return minimize(part, start, LoopOptions("tukey", max_iterations=LAST_STEPS, tolerance_sigma=0.005))
-
-
-def cost_at(problem: EpipolarProblem, estimate: RelativePose, scale_px: float = 1.0) -> Float[ndarray, "*batch"]:
-    """Geman and McClure's cost, by which starts compete, in squares of the scale."""
-    costs = robust.costs(problem.residuals_px(estimate) ** 2, np.asarray(scale_px), KERNEL)
-    counts = 1.0 if problem.counts is None else problem.counts
-    return np.asarray((counts * costs).sum(axis=-1)) / scale_px**2
 
 
 def parallax_and_sides(

@@ -15,7 +15,8 @@ from numpy import ndarray
 
 from binocal.cameras import Camera
 from binocal.shapes import Float, Int
-from binocal.solvers.epipolar import EpipolarEquations, EpipolarProblem, RelativePose
+from binocal.solvers.epipolar import EpipolarEquations, EpipolarProblem
+from binocal.solvers.relative_pose import RelativePose
 
 REGIONS = (4, 3)  # columns and rows of the left image
 DRAWS = 400
@@ -58,11 +59,14 @@ def draws_of_regions(
     return np.linalg.solve(H.sum(axis=0) + ridge, g.sum(axis=0)) / size, steps
 
 
-def covariance_of_noise(equations: EpipolarEquations, noise_px: float) -> Float[ndarray, "5 5"]:
+def covariance_of_noise(
+    equations: EpipolarEquations, noise_px: Float[ndarray, "*batch"] | float
+) -> Float[ndarray, "*batch 5 5"]:
     """What independent noise of the matches leaves: a lower bound."""
     H = equations.information
-    size = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-    return np.linalg.inv(H / np.outer(size, size) + 1e-12 * np.eye(5)) / np.outer(size, size) * noise_px**2
+    size = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
+    outer = size[..., :, None] * size[..., None, :]
+    return np.linalg.inv(H / outer + 1e-12 * np.eye(5)) / outer * np.asarray(noise_px)[..., None, None] ** 2
 
 
 def slopes_by_intrinsics(

@@ -17,18 +17,11 @@ from binocal.shapes import Float, Int
 from binocal.solvers import robust
 from binocal.solvers.arrays import map_arrays, stack_rigs
 from binocal.solvers.controllers import Marquardt, Schedule
-from binocal.solvers.epipolar import (
-    KERNEL,
-    SCHEDULE_PX,
-    STEPS_EACH,
-    EpipolarProblem,
-    RelativePose,
-    descend,
-    parallax_and_sides,
-    steer,
-)
+from binocal.solvers.epipolar import EpipolarProblem, parallax_and_sides
+from binocal.solvers.epipolar_descent import KERNEL, SCHEDULE_PX, STEPS_EACH, descend, steer
 from binocal.solvers.loop_state import Controller
 from binocal.solvers.minimization import START_DAMPING
+from binocal.solvers.relative_pose import RelativePose
 
 OLD_RIG_TURN_DEG, OLD_RIG_DIRECTION_DEG = 5.5, 6.0
 """Within which a result is taken for the same rig; a mount that moved by more has broken."""
@@ -121,25 +114,37 @@ def cost_beside(
     turn_deg: float = OLD_RIG_TURN_DEG,
     direction_deg: float = OLD_RIG_DIRECTION_DEG,
 ) -> Float[ndarray, "*batch"]:
-    """Geman and McClure's cost at one pixel, a match counting as wrong whose point lies behind a camera.
-
-    An estimate that is farther from the old rig than the bounds costs more than any within.
-    """
-    costs = robust.costs(problem.residuals_px(estimate) ** 2, np.asarray(1.0), KERNEL)
-    sign = np.where(np.sum(estimate.t * old.t, axis=-1, keepdims=True) < 0, -1.0, 1.0)
-    parallax_px, side = parallax_and_sides(problem, RelativePose(estimate.R, sign * estimate.t))
-    costs = np.where((parallax_px > CLEAR_PARALLAX_PX) & (side < 0), 0.5, costs)
-    if problem.counts is not None:
-        costs = problem.counts * costs
+    """The cost of what is seen, at one pixel; an estimate farther from the old rig than the bounds costs more than any within."""
+    costs = cost_of_seen(problem, estimate, old)
     is_outside = ~is_near(old, estimate, turn_deg, direction_deg)
-    return np.asarray(costs.sum(axis=-1) + is_outside * 0.5 * problem.n_matches(is_outside.shape))
+    return np.asarray(costs + is_outside * 0.5 * problem.n_matches(is_outside.shape))
+
+
+def cost_of_seen(
+    problem: EpipolarProblem, estimate: RelativePose, old: RelativePose | None, scale_px: float = 1.0
+) -> Float[ndarray, "*batch"]:
+    """Geman and McClure's cost in squares of the scale, a match counting as wrong whose point lies behind a camera.
+
+    The sign of the translation is the old rig's; without one that by which more is seen.
+    """
+    costs = robust.costs(problem.residuals_px(estimate) ** 2, np.asarray(scale_px), KERNEL) / scale_px**2
+    counts = 1.0 if problem.counts is None else problem.counts
+
+    def seen_with(sign: Float[ndarray, "*batch 1"] | float) -> Float[ndarray, "*batch"]:
+        parallax_px, side = parallax_and_sides(problem, RelativePose(estimate.R, sign * estimate.t))
+        seen = np.where((parallax_px > CLEAR_PARALLAX_PX) & (side < 0), 0.5, costs)
+        return np.asarray((counts * seen).sum(axis=-1))
+
+    if old is None:
+        return np.minimum(seen_with(1.0), seen_with(-1.0))
+    return seen_with(np.where(np.sum(estimate.t * old.t, axis=-1, keepdims=True) < 0, -1.0, 1.0))
 
 
 def is_near(
     old: RelativePose,
     new: RelativePose,
-    turn_deg: float = OLD_RIG_TURN_DEG,
-    direction_deg: float = OLD_RIG_DIRECTION_DEG,
+    turn_deg: float | Float[ndarray, "*batch"] = OLD_RIG_TURN_DEG,
+    direction_deg: float | Float[ndarray, "*batch"] = OLD_RIG_DIRECTION_DEG,
 ) -> ndarray:
     """Whether a pose lies within bounds of an old one."""
     turn = np.degrees(so3.angle_rad(new.R @ old.R.swapaxes(-1, -2)))
