@@ -23,7 +23,6 @@ from binocal.formats.ply import ply_content
 from binocal.images.encoding import draw_depth, draw_rows, encode_float_tiff, encode_image, to_8_bit
 from binocal.images.png import encode_png
 from binocal.images.reading import to_grey
-from binocal.metrics.depth_sigma import DepthSigma, depth_sigma
 from binocal.output import staged_folder, write_part
 from binocal.progress import ProgressCallback
 from binocal.rectification import Rectification, RectificationMaps
@@ -40,6 +39,7 @@ from binocal.rectification.disparity import (
 )
 from binocal.result import StereoCalibration
 from binocal.shapes import Float, Float32
+from binocal.uncertainty.lattice import DepthSigmaLattice, depth_sigma_lattice
 
 DOCUMENT = "depth.json"
 MATCHING_NOISE_PX = 0.3  # of a disparity; block matching of real images is usually given as 0.2 to 0.5
@@ -173,7 +173,9 @@ def depth_document(calibration: StereoCalibration, run: DepthRun, options: Depth
     }
 
 
-def _lattice(calibration: StereoCalibration, rectification: Rectification, distances: DepthRange) -> DepthSigma | None:
+def _lattice(
+    calibration: StereoCalibration, rectification: Rectification, distances: DepthRange
+) -> DepthSigmaLattice | None:
     """What the calibration leaves uncertain; None where the rig's file does not say it."""
     covariance = calibration.covariance
     if not covariance.names or not np.isfinite(covariance.matrix).all():
@@ -181,7 +183,7 @@ def _lattice(calibration: StereoCalibration, rectification: Rectification, dista
     along = rectification.left.along
     farthest = abs(rectification.offset_m) * rectification.left.focal_px[along] / LEAST_DISPARITY_PX
     far = min(distances.far, max(farthest, 2 * distances.near))
-    return depth_sigma(calibration.rig, covariance, rectification, distances.near, far)
+    return depth_sigma_lattice(calibration.rig, covariance, rectification, distances.near, far)
 
 
 def _depth_of(
@@ -189,7 +191,7 @@ def _depth_of(
     images: tuple[ndarray, ndarray],
     rectified: tuple[Rectification, RectificationMaps],
     distances: DepthRange,
-    lattice: DepthSigma | None,
+    lattice: DepthSigmaLattice | None,
     options: DepthOptions,
 ) -> DepthImages:
     rectification, maps = rectified

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Annotated, Any
 
 import typer
@@ -91,3 +92,27 @@ def present(document: dict[str, Any], text: str, as_json: bool) -> None:
         print_document(dump_json(jsonable(document)))
     else:
         print(text)
+
+
+def parse_range(text: str) -> tuple[float, float, bool]:
+    """Nearest and farthest of a range such as 0.5-5m, and whether it has a unit; one distance is both.
+
+    Raises:
+        typer.BadParameter: It is none.
+    """
+    from binocal.boards.board import parse_length
+
+    first, dash, last = text.strip().partition("-")
+    unit = re.search(r"[a-z]+$", last)
+    if unit and not re.search(r"[a-z]", first):
+        first += unit[0]  # it stands once, at the end
+    try:
+        near, has_unit = parse_length(first)
+        far, is_same = parse_length(last) if dash else (near, has_unit)
+    except ValueError as error:
+        raise typer.BadParameter(f"--range {text!r} is no range such as 0.5-5m: {error}.") from None
+    if is_same != has_unit:
+        raise typer.BadParameter(f"--range {text!r}: give both ends a unit, or neither.")
+    if not 0 < near <= far < math.inf:
+        raise typer.BadParameter(f"--range {text!r} must run from near to far, above 0.")
+    return near, far, has_unit

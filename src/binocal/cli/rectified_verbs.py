@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from binocal.cli.exits import FINE
-from binocal.cli.options import Force, Json, Left, Right, Threads, app, finite, present
+from binocal.cli.options import Force, Json, Left, Right, Threads, app, finite, parse_range, present
 
 if TYPE_CHECKING:
     from binocal.app.rectify import RectifyOptions
@@ -167,26 +167,17 @@ def _rectify_options(size: str | None, alpha: float | None, projection: Projecti
 
 def _parse_range(text: str | None, is_metric: bool) -> DepthRange | None:
     """The range that ``--range`` names, metres; board pitches, and without a unit, of a rig without a scale."""
-    from binocal.boards.board import parse_length
     from binocal.rectification.disparity import DepthRange
 
     if text is None:
         return None
-    near_text, dash, far_text = text.partition("-")
-    unit = re.search(r"[a-z]+\s*$", far_text)
-    if unit and not re.search(r"[a-z]", near_text):
-        near_text += unit[0]
-    try:
-        if not dash:
-            raise ValueError(f"{text!r} is no range")
-        (near, near_has), (far, far_has) = parse_length(near_text), parse_length(far_text)
-        distances = DepthRange(near, far)
-    except ValueError as error:
-        raise typer.BadParameter(f"--range: {error}; give nearest and farthest, such as 0.5-5m.") from None
-    if is_metric and not (near_has and far_has):
+    near, far, has_unit = parse_range(text)
+    if near == far:
+        raise typer.BadParameter(f"--range {text!r}: give nearest and farthest, such as 0.5-5m.")
+    if is_metric and not has_unit:
         raise typer.BadParameter(f"--range {text} needs a unit: mm, cm, m or in, such as {text}m.")
-    if not is_metric and (near_has or far_has):
+    if not is_metric and has_unit:
         raise typer.BadParameter(
             f"--range {text}: the rig has no scale; give board squares, without a unit, or calibrate with the board's size."
         )
-    return distances
+    return DepthRange(near, far)

@@ -13,7 +13,7 @@ import typer
 
 from binocal.cli import rectified_verbs as _rectified_verbs  # noqa: F401 - its verbs are the application's too
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, Force, Json, Seed, Threads, app
+from binocal.cli.options import BOARD_HELP, Force, Json, Seed, Threads, app, parse_range
 from binocal.cli.options import finite as _finite
 from binocal.cli.options import present as _present
 from binocal.errors import CalibrationError, DataError, FormatError
@@ -509,7 +509,7 @@ def uncertainty(
     from binocal.cli import uncertainty as texts
     from binocal.formats import rig_json
 
-    nearest, farthest, is_metric = _parse_range(ranges)
+    nearest, farthest, is_metric = parse_range(ranges)
     matching_px = _parse_pixels("--matching", matching)
     calibration = rig_json.read_calibration(rig)
     if calibration.rig.is_metric != is_metric:
@@ -949,26 +949,6 @@ def _parse_needs(texts: list[str] | None, *, is_metric: bool | None) -> Any:
     from binocal.cli.needs import parse_needs
 
     return parse_needs(texts, is_metric=is_metric)
-
-
-def _parse_range(text: str) -> tuple[float, float, bool]:
-    """Nearest and farthest of a range such as 0.5-5m, and whether it has a unit; one range is both."""
-    from binocal.boards.board import parse_length
-
-    first, dash, last = text.strip().partition("-")
-    unit = last.lstrip("0123456789. ")
-    if dash and not first.strip().endswith("m") and not first.strip().endswith("in"):
-        first += unit  # it stands once, at the end
-    try:
-        near, is_metric = parse_length(first)
-        far, has_unit = parse_length(last) if dash else (near, is_metric)
-    except ValueError as error:
-        raise typer.BadParameter(f"--range {text!r} is no range such as 0.5-5m: {error}.") from None
-    if has_unit != is_metric:
-        raise typer.BadParameter(f"--range {text!r}: give both ends a unit, or neither.")
-    if not 0 < near <= far < math.inf:
-        raise typer.BadParameter(f"--range {text!r} must run from near to far, above 0.")
-    return near, far, is_metric
 
 
 def _parse_pixels(option: str, text: str) -> float:

@@ -1,25 +1,24 @@
-"""What the covariance of a calibration leaves uncertain of the distances that a rectified pair measures."""
+"""Standard deviation of the distance in every pixel of a rectified image, from a lattice of places and distances."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
 
-from binocal.cameras import Camera, StereoRig, camera_model
+from binocal.cameras import StereoRig
 from binocal.cameras.rectified_pair import Rectification
-from binocal.geometry import SE3, so3
-from binocal.metrics.image import triangulate
-from binocal.result import Covariance
 from binocal.shapes import Float, Float32
+from binocal.uncertainty.covariance import Covariance
+from binocal.uncertainty.depth import relative_depth_gradients
+from binocal.uncertainty.derivatives import variance_of
 
 COLUMNS, ROWS, LEVELS = 9, 7, 6  # of the lattice: the image, and the logarithm of distance
-STEP_SIGMAS = 0.1  # of a parameter, for its central difference: small against what is linear, large against rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DepthSigma:
+class DepthSigmaLattice:
     """Standard deviation over distance on a lattice of the rectified left image, of points at ``distances`` (rising, even factors)."""
 
     distances: Float[ndarray, "levels"]
@@ -43,57 +42,25 @@ class DepthSigma:
         return share * distance
 
 
-def depth_sigma(
+def depth_sigma_lattice(
     rig: StereoRig, covariance: Covariance, rectification: Rectification, near: float, far: float
-) -> DepthSigma:
+) -> DepthSigmaLattice:
     """How uncertain the calibration leaves distances between near and far (both finite), as seen in the rectified left image.
 
-    First-order propagation: each place is a point, seen by both raw images at fixed pixels, and each parameter is moved by a
-    tenth of its standard deviation to see by how much the point's distance moves along the left camera's axes. ``share`` is NaN
-    where the covariance is unknown or a camera has no such pixel.
+    That of :func:`binocal.uncertainty.depth_sigma`, the calibration's part. ``share`` is NaN where the covariance is unknown or a
+    camera has no such pixel.
     """
     width, height = rectification.size_wh
     u, v = np.linspace(0, width - 1, COLUMNS), np.linspace(0, height - 1, ROWS)
     rays = rectification.left.unproject(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    is_pinhole = rectification.projection == "pinhole"
-    rays = rays / (rays[:, 2:] if is_pinhole else np.linalg.norm(rays, axis=1, keepdims=True))
+    rays = rays / (
+        rays[:, 2:] if rectification.projection == "pinhole" else np.linalg.norm(rays, axis=1, keepdims=True)
+    )
     distances = np.geomspace(near, far, LEVELS)
     points = (distances[:, None, None] * rays).reshape(-1, 3) @ rectification.R_rect_left
-    points = np.where(np.isfinite(points), points, 0.0)
-    left_px, right_px = rig.left.project(points), rig.right.project(rig.T_right_left.apply(points))
-    normal = rectification.R_rect_left[2] if is_pinhole else None
-
-    def distance(moved: StereoRig) -> Float[ndarray, "n"]:
-        found, _ = triangulate(moved, left_px, right_px)
-        return found @ normal if normal is not None else np.linalg.norm(found, axis=1)
-
-    sigma = np.sqrt(np.diag(covariance.matrix))
-    slopes = []
-    for name, step in zip(covariance.names, STEP_SIGMAS * sigma, strict=True):
-        if not np.isfinite(step):
-            slopes.append(np.full(len(points), np.nan))
-            continue
-        step = step if step > 0 else 1e-9
-        slopes.append((distance(_moved(rig, name, step)) - distance(_moved(rig, name, -step))) / (2 * step))
-    J = np.array(slopes).reshape(len(covariance.names), len(points))
-    variance = np.einsum("pn,pq,qn->n", J, covariance.matrix, J) if len(J) else np.full(len(points), np.nan)
-    with np.errstate(invalid="ignore"):
-        share = np.sqrt(np.maximum(variance, 0)) / np.repeat(distances, ROWS * COLUMNS)
-    return DepthSigma(distances, share.reshape(LEVELS, ROWS, COLUMNS))
-
-
-def _moved(rig: StereoRig, name: str, step: float) -> StereoRig:
-    """The rig with one parameter of its covariance moved; unknown names move nothing."""
-    group, _, item = name.partition(".")
-    if group in ("left", "right"):
-        camera: Camera = getattr(rig, group)
-        names = camera_model(camera.model).parameter_names
-        parameters = camera.parameters.copy()
-        parameters[names.index(item)] += step
-        return replace(rig, **{group: replace(camera, parameters=parameters)})
-    T, way = rig.T_right_left, np.eye(3)["xyz".index(item)] * step
-    moved = SE3(so3.exp(way) @ T.R, T.t) if group == "rotation" else SE3(T.R, T.t + way)
-    return replace(rig, T_right_left=moved)
+    G = relative_depth_gradients(rig, covariance.names, points)
+    share = np.sqrt(np.maximum(variance_of(G, covariance.matrix), 0))
+    return DepthSigmaLattice(distances, share.reshape(LEVELS, ROWS, COLUMNS))
 
 
 def _filled(share: Float[ndarray, "rows columns"]) -> Float[ndarray, "rows columns"]:
