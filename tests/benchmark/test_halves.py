@@ -13,7 +13,6 @@ from binocal.benchmark.halves import (
     differences_by_split,
     held_out_rows,
     rms,
-    row_errors,
     split_halves,
     stated_sigmas,
     summarise_depth,
@@ -24,6 +23,7 @@ from binocal.calibrators import calibrate
 from binocal.cameras import Camera, StereoRig
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
+from binocal.metrics.image import row_differences
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
 FOCAL_PX, BASELINE_M = 800.0, 0.1
@@ -80,7 +80,7 @@ def test_differences_of_a_split_whose_half_failed_are_nan():
 
 def test_rows_of_the_right_rig_agree_and_a_shift_is_found():
     rig = ideal_rig(turn_rad=(0.02, -0.1, 0.03))
-    assert np.abs(row_errors(rig, seen_by(rig))).max() < 1e-9
+    assert np.abs(row_differences(rig, seen_by(rig))).max() < 1e-9
     straight = ideal_rig()
     found = held_out_rows(straight, seen_by(straight, (5.0, 0.3)))  # one of two views by 0.3 px
     assert found.rms_px == pytest.approx(0.3 / np.sqrt(2)) and found.median_view_px == pytest.approx(0.15)
@@ -89,7 +89,7 @@ def test_rows_of_the_right_rig_agree_and_a_shift_is_found():
 
 def test_rows_see_a_roll_that_the_corners_do_not_have():
     rig, rolled = ideal_rig(), ideal_rig(turn_rad=(0.001, 0.0, 0.0))  # f * angle = 0.8 px at the image's centre
-    assert abs(row_errors(rolled, seen_by(rig))[0, 0]) == pytest.approx(0.8, rel=1e-3)
+    assert abs(row_differences(rolled, seen_by(rig))[0, 0]) == pytest.approx(0.8, rel=1e-3)
 
 
 def test_cameras_one_above_the_other_are_compared_by_columns():

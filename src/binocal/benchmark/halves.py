@@ -12,8 +12,7 @@ from binocal.cameras import StereoRig
 from binocal.errors import BinocalError
 from binocal.evidence import Detections
 from binocal.geometry import so3
-from binocal.metrics.image import triangulate
-from binocal.rectification import rectify_points, row_rectification
+from binocal.metrics.image import row_differences, triangulate
 from binocal.result import StereoCalibration
 from binocal.shapes import Float, Int
 from binocal.uncertainty import common_field, depth_sigma
@@ -74,27 +73,6 @@ def baseline_sigma_without_board_scale(calibration: StereoCalibration) -> float:
     return calibration.baseline_sigma_m
 
 
-def row_errors(rig: StereoRig, detections: Detections) -> Float[ndarray, "views n"]:
-    """Left minus right row of the rectified corners (columns, for cameras one above the other), px; NaN unless both saw it.
-
-    Also NaN where a camera model has no ray for the corner: count those.
-
-    Raises:
-        BinocalError: The rig cannot be rectified.
-    """
-    rectified = row_rectification(rig)
-    axis = 0 if rectified.is_vertical else 1
-    rows = (
-        rectify_points(camera, R, P, px)[..., axis]
-        for camera, R, P, px in (
-            (rig.left, rectified.R_rect_left, rectified.P_left, detections.left_px),
-            (rig.right, rectified.R_rect_right, rectified.P_right, detections.right_px),
-        )
-    )
-    left, right = rows
-    return left - right
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """What a method made of a half: its rig, the sigmas it states if any, codes of its findings; or why it made none."""
@@ -122,7 +100,7 @@ class HeldOutRows:
 def held_out_rows(rig: StereoRig, detections: Detections) -> HeldOutRows:
     """Row errors on views that the rig was not computed from."""
     try:
-        error = row_errors(rig, detections)
+        error = row_differences(rig, detections)
     except BinocalError:
         return HeldOutRows(np.nan, np.nan, 0)
     both = detections.left_is_seen & detections.right_is_seen
