@@ -35,7 +35,7 @@ def calibration():
 @pytest.fixture
 def images(monkeypatch):
     """Other images than those of the calibration: their corners."""
-    found = FoundCorners(seen(8, 1), (), (), (), {}, {})
+    found = FoundCorners(seen(8, 1), (), (), (), {})
     monkeypatch.setattr(evaluating, "find_corners", lambda *given, **options: found)
 
 

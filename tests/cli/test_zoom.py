@@ -28,7 +28,7 @@ def listed(tmp_path, monkeypatch):
         number = int(left.rsplit("/", 2)[1][1:])
         assert right == str(tmp_path / f"s{number}" / "r*.png") and least_pairs == 3
         rejected = (RejectedView("9", "blurred"),) if number == 1 else ()
-        return FoundCorners(corners.detections[number], rejected, (), ("a note",) * (number == 2), {}, {})
+        return FoundCorners(corners.detections[number], rejected, (), ("a note",) * (number == 2), {})
 
     monkeypatch.setattr("binocal.app.zoom.find_corners", find)
     return path

@@ -40,10 +40,12 @@ class ErrorMemory:
         """Of the errors of neighbours, 0 to 0.95.
 
         From errors against the level, which are too small where the level follows them, or from differences, less their standard
-        error of 2 / sqrt(k), where those say more: differences of errors correlated by r are correlated by (r - 1) / 2.
+        error of 2 / sqrt(k), where those say more: differences of errors correlated by r are correlated by (r - 1) / 2. Both are
+        lowered while there are a few measurements only, which a jump makes look alike.
         """
-        against_level = self.products[0] / self.squares[0]
-        of_differences = 1 + 2 * self.products[1] / self.squares[1] - 2 / np.sqrt(self.n_measured)
+        n = self.n_measured
+        against_level = self.products[0] / self.squares[0] - 2 / n
+        of_differences = 1 + 2 * self.products[1] / self.squares[1] - 2 / np.sqrt(n) - 8 / n
         return np.clip(np.maximum(against_level, of_differences), 0.0, MOST)
 
 
