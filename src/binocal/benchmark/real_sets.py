@@ -221,8 +221,8 @@ def read_corners(path: Path) -> Detections:
 def same_points(own: Detections, detections: Detections) -> Detections:
     """``own`` corners of the views of ``detections``, in the order that these have in each image.
 
-    A corner belongs to the nearest of ``detections``, if within half the least spacing; an image in which not every corner finds one,
-    and only one, has none. So orders that were repaired serve the peer too.
+    A corner of ``detections`` is the nearest own one, if within half the least spacing; an image in which not each finds one, and only
+    one, has none. So orders that were repaired serve the peer too.
     """
     place = {name: i for i, name in enumerate(own.names)}
     views = own.select(np.array([place[name] for name in detections.names], dtype=int))
@@ -234,14 +234,16 @@ def same_points(own: Detections, detections: Detections) -> Detections:
 
 
 def _nearest(own_px: Float[ndarray, "n 2"], px: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-    """``own_px`` in the order of ``px``; NaN throughout where they are not the same points."""
-    none = np.full(px.shape, np.nan)
-    if np.isnan(own_px).any() or np.isnan(px).any():
-        return none
+    """``own_px`` in the order of ``px``, NaN where that is; NaN throughout where they are not the same points."""
+    found = np.full(px.shape, np.nan)
+    seen = np.flatnonzero(~np.isnan(px).any(axis=1))
+    if np.isnan(own_px).any() or len(seen) < 2:
+        return found
+    px = px[seen]
     between = np.linalg.norm(px[:, None] - px[None], axis=-1)
     reach = 0.5 * between[~np.eye(len(px), dtype=bool)].min()
     distance = np.linalg.norm(px[:, None] - own_px[None], axis=-1)
     nearest = distance.argmin(axis=1)
-    if len(set(nearest.tolist())) < len(px) or distance.min(axis=1).max() > reach:
-        return none
-    return own_px[nearest]
+    if len(set(nearest.tolist())) == len(px) and distance.min(axis=1).max() <= reach:
+        found[seen] = own_px[nearest]
+    return found
