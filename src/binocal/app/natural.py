@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy import ndarray
 
+from binocal.app.natural_drift import AGAINST_RIG, Drift, depth_error_percent, drift_of, reference_document
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
@@ -21,12 +21,10 @@ from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding
 from binocal.formats import rig_json
 from binocal.formats.rig_file import load_rig
-from binocal.geometry import SE3, so3
 from binocal.matching.relative_pose import estimate_relative_pose
 from binocal.metrics.rows import RowFigures, row_figures
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import Covariance, ResidualSummary, StereoCalibration
-from binocal.shapes import Float
 from binocal.solvers.epipolar import EpipolarProblem
 from binocal.solvers.relative_pose import RelativePose
 from binocal.solvers.robust import TUKEY_END
@@ -34,11 +32,10 @@ from binocal.solvers.robust import TUKEY_END
 MAX_PAIRS = (
     8  # used, of twice as many looked at; the random part of the error is below that of the intrinsics after four
 )
-DRIFT_SIGMAS = 4.0  # twelve regions of one pair leave heavier tails than a normal's 3
-DEPTHS_M = (1.0, 5.0, 20.0)
-ANGLES = ("pitch", "yaw", "roll")
 REFERENCE = "reference"
 """Where a rig file holds its own result of ``recalibrate``."""
+ROWS_OFF_PX, ROWS_OFF_RATIO = 1.0, 4.0
+"""Median row error by the rig as given, and over that by the best pose, beyond which the rig no longer fits: matchers lose the rows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,26 +76,6 @@ class NaturalOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drift:
-    """The turn from one rig to another, about the right camera's x, y and z, with its standard deviation where they are one."""
-
-    turn_deg: Float[ndarray, "3"]
-    sigma_deg: Float[ndarray, "3"]
-    direction_deg: float
-    against: str
-
-    @property
-    def z(self) -> Float[ndarray, "3"]:
-        """Turns over their standard deviations."""
-        return self.turn_deg / np.maximum(self.sigma_deg, 1e-12)
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether the rig has turned."""
-        return bool(np.abs(self.z).max() > DRIFT_SIGMAS)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class NaturalRun:
     """A recalibration: the result, rows before and after, and how far it is from the rig that was given."""
 
@@ -110,17 +87,24 @@ class NaturalRun:
     elapsed_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def rows_are_off(self) -> bool:
+        """Whether the rig as given leaves rows that matchers lose and another pose mends, whatever its angles.
+
+        Not where a reference says what the rig was like from the start.
+        """
+        return self.drift.against == AGAINST_RIG and self.before.median_px > max(
+            ROWS_OFF_PX, ROWS_OFF_RATIO * self.after.median_px
+        )
+
+    @property
+    def has_drifted(self) -> bool:
+        """The verdict: an angle or the direction of the translation has surely moved, or rows are off."""
+        return self.drift.is_sure or self.rows_are_off
+
+    @property
     def depth_error_percent(self) -> dict[str, float]:
         """What the drift in yaw does to depth, percent, by distance in metres; empty without a length."""
         return depth_error_percent(self.calibration.rig, self.drift)
-
-
-def depth_error_percent(rig: StereoRig, drift: Drift) -> dict[str, float]:
-    """What a drift in yaw does to depth, percent, by distance in metres; empty without a length."""
-    if not rig.is_metric:
-        return {}
-    yaw = np.radians(abs(float(drift.turn_deg[1])))
-    return {f"{z:g}": float(100 * z * yaw / rig.baseline_m) for z in DEPTHS_M}
 
 
 def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) -> NaturalRun:
@@ -161,7 +145,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     calibration = calibrate_from_matches(matches, request)
     calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))
     right = _right_matches(cameras, calibration, matches)
-    drift = _drift(calibration, source)
+    drift = drift_of(calibration, source.rig, source.covariance, source.reference)
     elapsed = {"matching": matched - started, "solve": time.perf_counter() - matched}
     return NaturalRun(
         calibration, row_figures(source.rig, right), row_figures(calibration.rig, right), drift, right, elapsed
@@ -211,59 +195,6 @@ def _right_matches(
     problem, has_rays = EpipolarProblem.of_matches(cameras, matches)
     residuals = np.abs(problem.residuals_px(RelativePose.of(calibration.rig.T_right_left)))
     return matches.select(np.flatnonzero(has_rays)[residuals < TUKEY_END * calibration.noise_px])
-
-
-def _drift(calibration: StereoCalibration, source: NaturalSource) -> Drift:
-    """Against the reference, whose intrinsics are the same, the random parts alone count; against the rig, all that is uncertain."""
-    T = calibration.rig.T_right_left
-    if source.reference is not None:
-        R, t, random = reference_values(source.reference)
-        own = np.array(calibration.provenance["random_rotation_covariance_rad2"])
-        covariance, against = own + random, "the file's own reference"
-    else:
-        R, t = source.rig.T_right_left.R, source.rig.T_right_left.t
-        covariance, against = calibration.covariance.block("rotation"), "the rig as given"
-        if source.covariance is not None and "rotation.x" in source.covariance.names:
-            covariance = covariance + source.covariance.block("rotation")
-    turn = np.degrees(so3.log(T.R @ R.T))
-    cosine = float(np.clip(T.t @ t / np.linalg.norm(T.t) / np.linalg.norm(t), -1, 1))
-    return Drift(turn, np.degrees(np.sqrt(np.diagonal(covariance))), float(np.degrees(np.arccos(cosine))), against)
-
-
-def reference_document(calibration: StereoCalibration) -> dict[str, Any]:
-    """What a rig file keeps of its own ``recalibrate``."""
-    T = calibration.rig.T_right_left
-    return {
-        "R": T.R.tolist(),
-        "T_direction": (T.t / np.linalg.norm(T.t)).tolist(),
-        "random_rotation_covariance_rad2": calibration.provenance["random_rotation_covariance_rad2"],
-        "n_matches": calibration.provenance["n_matches"],
-        "pairs": [view.name for view in calibration.views],
-    }
-
-
-def reference_values(
-    document: Mapping[str, Any],
-) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"], Float[ndarray, "3 3"]]:
-    """Rotation, direction and random covariance of a reference.
-
-    Raises:
-        DataError: They are none.
-    """
-    try:
-        R, t, C = (
-            np.array(document[key], dtype=float) for key in ("R", "T_direction", "random_rotation_covariance_rad2")
-        )
-        SE3(R, t)
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(
-            f"the rig file's reference is damaged: {error}; write it anew with `binocal recalibrate --reference`."
-        ) from None
-    if C.shape != (3, 3) or not np.isfinite(C).all():
-        raise DataError(
-            "the rig file's reference is damaged: its covariance; write it anew with `binocal recalibrate --reference`."
-        )
-    return R, t, C
 
 
 def with_reference(rig: StereoCalibration, run: NaturalRun) -> StereoCalibration:

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from binocal.app.natural import (
+from binocal.app.natural import NaturalSource
+from binocal.app.natural_drift import (
+    AGAINST_REFERENCE,
+    AGAINST_RIG,
     ANGLES,
     Drift,
-    NaturalSource,
     depth_error_percent,
     reference_values,
+    turn_between,
 )
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.drift import DriftTrack, MeasuredTurn, track_drift
@@ -22,7 +25,7 @@ from binocal.datasets import StereoPair
 from binocal.datasets.frames import name_some, time_of_name_ns
 from binocal.errors import CalibrationError, CancelledError
 from binocal.findings import Finding, finding
-from binocal.geometry import SE3, so3
+from binocal.geometry import SE3
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.result import StereoCalibration
 from binocal.shapes import Float
@@ -130,7 +133,7 @@ def _measure(
     random = np.diagonal(np.array(found.provenance["random_rotation_covariance_rad2"]))
     common = np.maximum(np.diagonal(found.covariance.block("rotation")) - random, 0.0)
     T = found.rig.T_right_left
-    turn = MeasuredTurn(group[0].name, np.degrees(so3.log(T.R @ start.R.T)), np.degrees(np.sqrt(random)), time_s)
+    turn = MeasuredTurn(group[0].name, turn_between(start.R, T.R), np.degrees(np.sqrt(random)), time_s)
     return _Measurement(turn, T.t, common)
 
 
@@ -152,7 +155,7 @@ def _drift(
     sigma = np.sqrt(track.level_sigma_deg[-1] ** 2 + of_regions**2 + np.degrees(np.sqrt(common + was)) ** 2)
     direction = np.sum([one.direction for one in measured], axis=0)
     cosine = direction @ start.t / np.linalg.norm(direction) / np.linalg.norm(start.t)
-    against = "the rig as given" if source.reference is None else "the file's own reference"
+    against = AGAINST_RIG if source.reference is None else AGAINST_REFERENCE
     return Drift(track.level_deg[-1], sigma, float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))), against)
 
 

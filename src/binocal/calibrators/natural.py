@@ -36,6 +36,7 @@ from binocal.result import Covariance, ResidualSummary, StereoCalibration, ViewR
 from binocal.shapes import Bool, Float
 from binocal.solvers.epipolar import NOISE_FLOOR_PX, EpipolarEquations, EpipolarProblem, Rays, parallax_and_sides
 from binocal.solvers.epipolar_covariance import (
+    covariance_between_pairs,
     covariance_by_regions,
     covariance_of_noise,
     regions_of,
@@ -55,6 +56,7 @@ BEHIND_PX, BEHIND_NOISE = 8.0, 20.0
 """Parallax of a point, in pixels and of the noise, at which no error of the pose makes it lie behind a camera."""
 MOST_BEHIND_SHARE = 0.2  # of the clear ones that fit; where 40 % of all matches are wrong it is 0.05
 KEPT_ROUNDS = 3
+MIN_PAIRS_FOR_SCATTER = 3
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
 """Of the noise, and so many matches, for the direction of the translation to be told at all."""
 
@@ -225,24 +227,30 @@ def _covariance(
     of_cameras: Float[ndarray, "p p"],
     slopes: Float[ndarray, "n p"],
 ) -> tuple[Float[ndarray, "q q"], Float[ndarray, "5 5"]]:
-    """Of the five unknowns and both cameras' parameters together; and the part of the former that other images would have anew."""
+    """Of the five unknowns and both cameras' parameters together; and of the former what other matches of these pairs would have anew."""
     own = covariance_by_regions(
         solved.equations,
         regions_of(solved.matches.left_px, request.cameras[0].size_wh),
         np.random.default_rng(request.seed),
     )
     noise = covariance_of_noise(solved.equations, solved.noise_px)
-    grow = np.sqrt(np.maximum(np.diagonal(noise) / np.maximum(np.diagonal(own), 1e-300), 1.0))
-    own = own * np.outer(grow, grow)
+    own = _grown(own, noise)
+    between = covariance_between_pairs(solved.equations, solved.matches.pair)
     A = steps_by_intrinsics(solved.equations, slopes)
     whole = np.zeros((5 + len(of_cameras), 5 + len(of_cameras)))
-    whole[:5, :5] = own + A @ of_cameras @ A.T
+    whole[:5, :5] = (own if between is None else _grown(own, between)) + A @ of_cameras @ A.T
     whole[:5, 5:] = A @ of_cameras
     whole[5:, :5] = whole[:5, 5:].T
     whole[5:, 5:] = of_cameras
     if _all_far(solved.problem.select(solved.is_right), solved.estimate, solved.noise_px):
         whole[[3, 4], [3, 4]] += np.radians(90.0) ** 2
     return whole, own
+
+
+def _grown(covariance: Float[ndarray, "5 5"], least: Float[ndarray, "5 5"]) -> Float[ndarray, "5 5"]:
+    """The covariance with no variance below that of ``least``, its correlations kept."""
+    grow = np.sqrt(np.maximum(np.diagonal(least) / np.maximum(np.diagonal(covariance), 1e-300), 1.0))
+    return covariance * np.outer(grow, grow)
 
 
 def intrinsics_covariance(cameras: tuple[Camera, Camera], known: Covariance | None) -> Float[ndarray, "p p"]:
@@ -274,6 +282,16 @@ def intrinsics_covariance(cameras: tuple[Camera, Camera], known: Covariance | No
     return out
 
 
+def _pair_scatter(solved: _Solved, random: Float[ndarray, "5 5"]) -> Float[ndarray, "3"]:
+    """Variances of the rotation that single pairs have beside those of their matches; 0 with too few pairs to tell."""
+    between = covariance_between_pairs(solved.equations, solved.matches.pair)
+    n = solved.matches.n_pairs
+    if between is None or n < MIN_PAIRS_FOR_SCATTER:
+        return np.zeros(3)
+    excess: Float[ndarray, "3"] = n * np.maximum(np.diagonal(between - random)[:3], 0.0)
+    return excess
+
+
 def _calibration(
     solved: _Solved,
     request: NaturalRequest,
@@ -297,7 +315,10 @@ def _calibration(
         for side, c in zip(("left", "right"), request.cameras, strict=True)
         for n in camera_model(c.model).parameter_names
     )
-    basis = length * np.stack([np.cross(axis, estimate.t) for axis in tangents(estimate.t).T], axis=1)
+    across = np.stack([np.cross(axis, estimate.t) for axis in tangents(estimate.t).T], axis=1)
+    basis = length * across
+    between = covariance_between_pairs(solved.equations, matches.pair)
+    of_pairs = random if between is None else _grown(random, between)
     to_rig = np.zeros((len(names) + 6, len(covariance)))
     to_rig[: len(names), 5:] = np.eye(len(names))
     to_rig[len(names) : len(names) + 3, :3] = np.eye(3)
@@ -320,6 +341,8 @@ def _calibration(
             "n_matches": len(matches),
             "n_right": int(is_right.sum()),
             "random_rotation_covariance_rad2": random[:3, :3].tolist(),
+            "random_direction_covariance": (across @ of_pairs[3:, 3:] @ across.T).tolist(),
+            "pair_scatter_rad2": _pair_scatter(solved, random).tolist(),
             "length_from": request.length_from,
             "intrinsics_sigma": "rig file" if request.intrinsics is not None else "assumed",
         },

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from binocal.app.natural import ANGLES, Drift, NaturalRun
+from binocal.app.natural import NaturalRun
+from binocal.app.natural_drift import ANGLES, Drift
 from binocal.formats import rig_json
 from binocal.metrics.rows import RowFigures
 
@@ -20,7 +21,7 @@ def check_document(run: NaturalRun, **more: Any) -> dict[str, Any]:
     """Rows, drift, depth, and what they say."""
     return {
         "rows": {"given": _rows_document(run.before), "best": _rows_document(run.after)},
-        "drift": drift_document(run.drift),
+        "drift": drift_document(run.drift) | {"has_drifted": run.has_drifted, "rows_are_off": run.rows_are_off},
         "depth_error_percent": run.depth_error_percent,
         "n_matches": run.after.n_matches,
         "pairs": [view.name for view in run.calibration.views],
@@ -42,6 +43,9 @@ def drift_document(drift: Drift) -> dict[str, Any]:
         **{f"{name}_deg": float(value) for name, value in zip(ANGLES, drift.turn_deg, strict=True)},
         **{f"{name}_sigma_deg": float(value) for name, value in zip(ANGLES, drift.sigma_deg, strict=True)},
         "direction_of_T_deg": drift.direction_deg,
+        "direction_of_T_sigma_deg": float(drift.direction_sigma_deg)
+        if np.isfinite(drift.direction_sigma_deg)
+        else None,
     }
 
 
@@ -68,16 +72,24 @@ def recalibrate_text(run: NaturalRun, output: Any, kept: str = "") -> str:
 def check_text(run: NaturalRun) -> str:
     """The verdict first, then what it rests on."""
     drift = run.drift
-    if drift.is_sure:
-        worst = int(np.argmax(np.abs(drift.z)))
-        verdict = (
-            f"drifted: {ANGLES[worst]} is {drift.turn_deg[worst]:+.3f} deg from {drift.against}, "
-            f"{abs(drift.z[worst]):.0f} standard deviations; run `binocal recalibrate`."
+    worst = int(np.argmax(np.abs(drift.z)))
+    if drift.is_sure and drift.direction_z > abs(drift.z[worst]):
+        what = (
+            f"the translation points {drift.direction_deg:.2f} deg away from {drift.against}, "
+            f"{drift.direction_z:.0f} standard deviations"
         )
+    elif drift.is_sure:
+        what = f"{ANGLES[worst]} is {drift.turn_deg[worst]:+.3f} deg from {drift.against}, {abs(drift.z[worst]):.0f} standard deviations"
     else:
-        verdict = (
-            f"fine: no angle differs from {drift.against} by more than {np.abs(drift.z).max():.1f} standard deviations."
+        what = (
+            f"rows are off by {run.before.median_px:.2f} px by the rig as given, by {run.after.median_px:.2f} px by the best pose, though "
+            "no angle has surely moved: a lens or an image's place on the sensor may have"
         )
+    if run.has_drifted:
+        verdict = f"drifted: {what}; run `binocal recalibrate`."
+    else:
+        most = max(np.abs(drift.z).max(), drift.direction_z)
+        verdict = f"fine: nothing differs from {drift.against} by more than {most:.1f} standard deviations."
     warnings = [f"warning: {text}" for text in run.calibration.warnings]
     return "\n".join([verdict, *warnings, "", *_common_lines(run)])
 
@@ -88,8 +100,11 @@ def _common_lines(run: NaturalRun) -> list[str]:
         f"{name} {value:+.4f} ± {sigma:.4f}"
         for name, value, sigma in zip(ANGLES, drift.turn_deg, drift.sigma_deg, strict=True)
     )
+    direction = f"{drift.direction_deg:.2f}"
+    if np.isfinite(drift.direction_sigma_deg):
+        direction += f" ± {drift.direction_sigma_deg:.2f}"
     lines = [
-        f"Drift    {turned} deg, direction of T {drift.direction_deg:.2f} deg, against {drift.against}",
+        f"Drift    {turned} deg, direction of T {direction} deg, against {drift.against}",
         f"Rows     median {run.before.median_px:.3f} px by the rig as given, {run.after.median_px:.3f} px by this one; "
         f"95 % within {run.before.p95_px:.2f} and {run.after.p95_px:.2f} px",
         "         by region of the left image, signed, as given (px):",

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from binocal.app.natural import ANGLES
+from binocal.app.natural_drift import ANGLES
 from binocal.app.stream import StreamRun
 from binocal.cli.natural import drift_document
 from binocal.findings import Severity, finding_document

@@ -674,7 +674,7 @@ def check(
             source, natural.NaturalOptions(max_pairs=max_pairs or natural.MAX_PAIRS, seed=seed, progress=progress)
         )
     _present(texts.check_document(run), texts.check_text(run), json)
-    return BELOW_QUALITY if run.drift.is_sure else FINE
+    return BELOW_QUALITY if run.has_drifted else FINE
 
 
 class Sides(enum.StrEnum):

@@ -39,6 +39,27 @@ def covariance_by_regions(
     return draws.T @ draws / DRAWS * (n_regions / max(n_regions - 1, 1))
 
 
+def covariance_between_pairs(equations: EpipolarEquations, pair: Int[ndarray, "n"]) -> Float[ndarray, "5 5"] | None:
+    """Covariance of the five unknowns from how pairs pull at their common minimum (delete-one-pair jackknife, one Newton step each).
+
+    It counts what a pair's matches have in common: exposures that are apart on a moving car, a rig that flexes. None with one pair.
+    """
+    present = np.unique(pair[equations.weights > 0])
+    if len(present) < 2:
+        return None
+    J, w, r = equations.jacobian, equations.weights, equations.residuals_px
+    own = [pair == k for k in present]
+    H = np.stack([J[k].T @ (w[k, None] * J[k]) for k in own])
+    g = np.stack([-J[k].T @ (w[k] * r[k]) for k in own])
+    size = np.sqrt(np.maximum(np.diagonal(H.sum(axis=0)), 1e-300))
+    H, g = H / size[:, None] / size, g / size
+    ridge = 1e-9 * np.eye(5)
+    without = np.linalg.solve(H.sum(axis=0) - H + ridge, (g.sum(axis=0) - g)[..., None])[..., 0] / size
+    away = without - without.mean(axis=0)
+    share = (len(present) - 1) / len(present)
+    return share * away.T @ away
+
+
 def draws_of_regions(
     J: Float[ndarray, "n q"],
     weights: Float[ndarray, "n"],
