@@ -29,7 +29,7 @@ leaves is hidden, ends in `.part`, and is removed by the next that writes the sa
 | 1 | failure while running, such as a full disk or a stdout that takes nothing |
 | 2 | usage: an option is wrong |
 | 3 | input unusable; the text names which image or view, why, and what to do |
-| 4 | finished, but below the quality asked for (`--max-rms`) |
+| 4 | finished, but below the quality asked for (`--max-rms`, `--require`), or a rig that has changed |
 | 130 | interrupted, by Ctrl-C, SIGTERM or SIGHUP |
 """
 

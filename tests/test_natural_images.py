@@ -306,3 +306,21 @@ def test_single_pairs_against_each_others_reference_are_called_fine(data_dir):
         reference = natural.reference_document(own.calibration)
         run = natural.recalibrate(replace(source, pairs=[source.pairs[second]], reference=reference))
         assert not run.has_drifted
+
+
+def test_images_without_a_partner_are_named(folder, tmp_path, capsys):
+    for path in sorted(folder.glob("*.png"))[:-1]:
+        (tmp_path / path.name).symlink_to(path)
+    assert run("check", *sources(tmp_path), "--rig", folder / "true.json", "--json") in (0, 4)
+    (said,) = [f for f in json.loads(capsys.readouterr().out)["findings"] if f["code"] == "dataset-frames-left-out"]
+    assert "1 images have no partner" in said["text"]
+
+
+@pytest.mark.parametrize(("length_m", "text"), [(0.0, "translation is zero"), (1.2e5, "1 mm to 100 m")])
+def test_rigs_that_cannot_be_are_named(folder, tmp_path, capsys, length_m, text):
+    rig_json.write_rig(tmp_path / "rig.json", StereoRig(RIG.left, RIG.right, SE3(T.R, length_m * T.t)))
+    assert run("check", *sources(folder), "--rig", tmp_path / "rig.json") == 3
+    assert text in capsys.readouterr().err
+    arguments = ["--rig", folder / "turned.json", "--output", tmp_path / "o.json", "--baseline", "1e9m"]
+    assert run("recalibrate", *sources(folder), *arguments) == 2
+    assert "1 mm to 100 m" in capsys.readouterr().err

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from binocal.boards import Board, load_board
     from binocal.calibrators import CalibrationRequest, calibrate
     from binocal.cameras import Camera, StereoRig
+    from binocal.datasets import open_dataset
     from binocal.detection import detect, detect_pairs
     from binocal.errors import (
         BinocalError,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 # Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
 _NAMES_IN = {
+    "binocal.datasets": ("open_dataset",),
     "binocal.boards": ("Board", "load_board"),
     "binocal.calibrators": ("CalibrationRequest", "calibrate"),
     "binocal.cameras": ("Camera", "StereoRig"),
@@ -119,6 +121,7 @@ __all__ = [
     "detect",
     "detect_pairs",
     "load_board",
+    "open_dataset",
     "read_calibration",
     "read_detections",
     "read_rig",

@@ -138,6 +138,8 @@ def worked_in(tmp_path_factory):
         patch.chdir(folder)
         for command in commands():
             assert main([*command, "--json"]) == 0, command
+        street = ["simulate", "--rig", "rig.json", "--scene", "street", "--pairs", "1", "--output", "street"]
+        assert main([*street, "--json"]) == 0
     return folder
 
 

@@ -16,9 +16,10 @@ from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
 from binocal.datasets import StereoPair, open_dataset
 from binocal.datasets.folder import list_pairs
+from binocal.datasets.frames import name_some
 from binocal.errors import DataError
 from binocal.evidence.point_matches import PointMatches
-from binocal.findings import Finding
+from binocal.findings import Finding, finding
 from binocal.formats import rig_json
 from binocal.formats.rig_file import load_rig
 from binocal.matching.relative_pose import estimate_relative_pose
@@ -32,6 +33,7 @@ from binocal.solvers.robust import TUKEY_END
 MAX_PAIRS = (
     8  # used, of twice as many looked at; the random part of the error is below that of the intrinsics after four
 )
+LEAST_BASELINE_M, MOST_BASELINE_M = 1e-3, 100.0  # between a rig of tiny cameras and one on a ship
 REFERENCE = "reference"
 """Where a rig file holds its own result of ``recalibrate``."""
 ROWS_OFF_PX, ROWS_OFF_RATIO = 1.0, 4.0
@@ -118,6 +120,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     options = options or NaturalOptions()
     if not source.pairs:
         raise DataError("no pairs of images.")
+    _refuse_no_baseline(source.rig)
     cameras = source.rig.left, source.rig.right
     started = time.perf_counter()
     chosen = [source.pairs[i] for i in looked_at(len(source.pairs), options.max_pairs)]
@@ -150,6 +153,16 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     return NaturalRun(
         calibration, row_figures(source.rig, right), row_figures(calibration.rig, right), drift, right, elapsed
     )
+
+
+def _refuse_no_baseline(rig: StereoRig) -> None:
+    length = rig.baseline_m
+    if length == 0:
+        raise DataError("the rig's translation is zero: both cameras stand in one place; give another rig.")
+    if rig.is_metric and not LEAST_BASELINE_M <= length <= MOST_BASELINE_M:
+        raise DataError(
+            f"the rig's cameras stand {length:.3g} m apart, and 1 mm to 100 m are possible; lengths in its file are metres."
+        )
 
 
 def _baseline_sigma_m(source: NaturalSource) -> float:
@@ -239,4 +252,8 @@ def source_of_images(left: str, right: str, given: StereoCalibration) -> Natural
     """
     pairing = list_pairs(left, right)
     pairs = [StereoPair(pair.name, pair.left_path, pair.right_path) for pair in pairing.pairs]
-    return NaturalSource(pairs, given.rig, given.covariance, given.extra.get(REFERENCE))
+    findings: tuple[Finding, ...] = ()
+    if pairing.ignored:
+        names = name_some(path.name for path, _ in pairing.ignored)
+        findings = (finding("dataset-frames-left-out", n_out=len(pairing.ignored), n_pairs=len(pairs), names=names),)
+    return NaturalSource(pairs, given.rig, given.covariance, given.extra.get(REFERENCE), findings=findings)

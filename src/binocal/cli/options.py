@@ -20,7 +20,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Stereo-camera calibration that measures depth and says how far the depth can be trusted.",
     epilog="Exit codes: 0 fine, 1 failure while running, 2 usage, 3 input unusable, 4 finished but below the quality "
-    "asked for, 130 interrupted.",
+    "asked for or the rig has changed, 130 interrupted.",
 )
 
 BOARD_HELP = (

@@ -931,6 +931,7 @@ def _parse_length(text: str | None) -> float | None:
     """Metres of a length with its unit."""
     if text is None:
         return None
+    from binocal.app.natural import LEAST_BASELINE_M, MOST_BASELINE_M
     from binocal.boards.board import parse_length
 
     try:
@@ -939,6 +940,8 @@ def _parse_length(text: str | None) -> float | None:
         raise typer.BadParameter(str(error)) from None
     if not is_metric:
         raise typer.BadParameter(f"--baseline {text} needs a unit: mm, cm, m or in.")
+    if not LEAST_BASELINE_M <= length_m <= MOST_BASELINE_M:
+        raise typer.BadParameter(f"--baseline {text}: the cameras of a rig stand 1 mm to 100 m apart.")
     return length_m
 
 
