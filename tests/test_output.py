@@ -156,3 +156,12 @@ def test_a_pipe_is_no_output(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(DataError, match="pipe or a device"):
         output.check_output(tmp_path / "pipe", force=True)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/stdin"), reason="the system has no /dev")
+def test_links_of_the_system_are_never_replaced():
+    """With stdout on a file ``--output /dev/stdout --force`` put the result in the link's place."""
+    with pytest.raises(DataError, match="is a pipe or a device"):
+        output.check_output("/dev/stdin", force=True)
+    with pytest.raises(DataError, match="is a pipe or a device"):
+        output.check_output("/proc/self/status", force=True)

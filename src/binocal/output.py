@@ -45,7 +45,11 @@ def check_output(path: str | Path, *, force: bool = False) -> Path:
         raise DataError(f"{_shown(path)}: cannot be a file: {_words(error)}.") from None
     if mode is not None and stat.S_ISDIR(mode):
         raise DataError(f"{path} is a folder; name a file in it, such as {path / 'rig.json'}.")
-    if mode is not None and not stat.S_ISREG(mode):
+    is_of_system = path.absolute().parts[1:2] in (
+        ("dev",),
+        ("proc",),
+    )  # /dev/stdout may lead to a file: the link would be replaced
+    if mode is not None and (is_of_system or not stat.S_ISREG(mode)):
         raise DataError(f"{path} is a pipe or a device; name an ordinary file.")
     if mode is not None and not force:
         raise OutputExistsError(path)

@@ -1,6 +1,7 @@
 """The checks of ``binocal calibrate``: ten lines, coloured on a terminal alone, and in the document."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -72,3 +73,9 @@ def test_what_a_check_finds_wrong_joins_the_findings(run, capsys, monkeypatch):
     text = capsys.readouterr().out
     assert text.startswith("warning: residuals of neighbouring corners correlate by 0.40")
     assert json.loads(Path("rig.json").read_text(encoding="utf-8"))["findings"][0]["code"] == "residuals-correlated"
+
+
+def test_a_closed_stdout_is_no_traceback(monkeypatch):
+    """``calibrate >&-`` ended with 47 lines; that stdout is closed is said at the end, by the one who flushes it."""
+    monkeypatch.setattr(sys, "stdout", None)
+    show_checks(LINES)

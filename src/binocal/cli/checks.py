@@ -18,7 +18,7 @@ def show_checks(lines: Sequence[CheckLine]) -> None:
     """Print them on stdout."""
     if not lines:
         return
-    if not sys.stdout.isatty():
+    if sys.stdout is None or not sys.stdout.isatty():
         print("\n" + checks_text(lines))
         return
     from rich.console import Console
