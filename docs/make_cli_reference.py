@@ -14,7 +14,7 @@ PATH = Path(__file__).with_name("cli.md")
 WIDTH = 100
 HEAD = """# Command line
 
-Written by `docs/make_cli_reference.py`; change the verbs in `src/binocal/cli/verbs.py` instead of
+Written by `docs/make_cli_reference.py`; change the verbs in `src/binocal/cli/verbs/` instead of
 this page.
 
 Results go to stdout, everything else (what was ignored or dropped and why, progress) to stderr.

@@ -11,7 +11,7 @@ from binocal import app, errors
 from binocal.boards import Board
 from binocal.cameras import CAMERA_MODELS
 from binocal.cli import main
-from binocal.cli.verbs import Model
+from binocal.cli.verbs.calibrate import Model
 from binocal.formats import rig_json
 from binocal.formats.detections_npz import read_detections
 from fakes import FakePackages

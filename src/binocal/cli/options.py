@@ -32,6 +32,15 @@ Left = Annotated[str, typer.Option("--left", help="Left images: a glob in quotes
 Right = Annotated[str, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")]
 BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
 Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout, on errors too.")]
+Needs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--require",
+        help="A need, repeatable: 'depth 1% at 5m' (also 'with 0.25px' of matching), 'row 0.1px', 'baseline 0.02%', 'focal 0.05%', "
+        "'reprojection 0.3px'. Exit with 4 unless all are proven to be met; what is not gets a plan of views that help.",
+        metavar="NEED",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 

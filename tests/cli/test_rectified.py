@@ -12,7 +12,7 @@ import pytest
 
 from binocal.cameras.epipolar_projection import PROJECTIONS
 from binocal.cli import main
-from binocal.cli.rectified_verbs import Projections
+from binocal.cli.verbs.rectified import Projections
 from binocal.formats.rig_json import write_calibration, write_rig
 from binocal.geometry import SE3, so3
 from binocal.images.png import encode_png

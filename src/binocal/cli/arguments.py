@@ -1,0 +1,75 @@
+"""What the texts of options mean: boards, lengths, needs, numbers of pixels; each refused in the option's own words."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import typer
+
+
+def parse_board(spec: str) -> Any:
+    """The board of a SPEC or a target file."""
+    from binocal.boards import load_board
+
+    try:
+        return load_board(spec)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def parse_length(text: str | None) -> float | None:
+    """Metres of a length with its unit."""
+    if text is None:
+        return None
+    from binocal.app.natural import LEAST_BASELINE_M, MOST_BASELINE_M
+    from binocal.boards.board import parse_length
+
+    try:
+        length_m, is_metric = parse_length(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    if not is_metric:
+        raise typer.BadParameter(f"--baseline {text} needs a unit: mm, cm, m or in.")
+    if not LEAST_BASELINE_M <= length_m <= MOST_BASELINE_M:
+        raise typer.BadParameter(f"--baseline {text}: the cameras of a rig stand 1 mm to 100 m apart.")
+    return length_m
+
+
+def parse_pixels(option: str, text: str) -> float:
+    """Pixels with or without their unit."""
+    try:
+        value = float(text.strip().removesuffix("px"))
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise typer.BadParameter(f"{option} {text!r} is not a number of pixels such as 0.25px.")
+    return value
+
+
+def parse_needs(texts: list[str] | None, *, is_metric: bool | None) -> Any:
+    """The requirements of ``--require``; none where it is not given, and then nothing is loaded for it."""
+    if not texts:
+        return ()
+    from binocal.cli.needs import parse_needs
+
+    return parse_needs(texts, is_metric=is_metric)
+
+
+def one_of(option: str, value: str, known: tuple[str, ...]) -> str:
+    """The value itself, where the option knows it."""
+    if value not in known:
+        raise typer.BadParameter(f"{option} is {value!r}; known: {', '.join(known)}")
+    return value
+
+
+def check_distinct(outputs: dict[str, list[Path]]) -> None:
+    """Two options that name one file would write one result over the other."""
+    option_of: dict[str, str] = {}
+    for option, paths in outputs.items():
+        for path in paths:
+            other = option_of.setdefault(os.path.normcase(os.path.realpath(path)), option)
+            if other != option:
+                raise typer.BadParameter(f"{option} and {other} name the same file.")
