@@ -6,6 +6,9 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+# Before NumPy is imported: with a worker on every processor, BLAS threads that wait for one another make small solves ten times slower.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jaxtyping
 import pytest
 from hypothesis import settings
