@@ -151,8 +151,18 @@ EXPLANATIONS = {
     "pairs-shifted": """
         When the right sequence is moved by one or a few images against the left one, the pairs agree. An image is missing at
         the beginning of one sequence, or two recordings were started apart.""",
+    "one-side-mirrored": """
+        A flipped image of a symmetric board looks like another sound image of it, so each camera calibrates by itself; only the two
+        together tell. When the corners of one side are flipped back, the pairs agree on a rig. Which side it is cannot be known
+        from a symmetric board. Images that are transposed (columns and rows exchanged) are mirrored as well.""",
+    "images-mixed-up": """
+        A calibrated rig says what its images can be. Where most views are missed by more than a pixel, the corners are looked at again
+        as if left and right were exchanged, images mirrored or upside down, or the lists off by up to three images. One of these makes
+        the views fit at least five times better. Nothing is repaired: the images are to be given as the cameras took them.""",
+    "view-mirrored": """
+        The rig that the other pairs agree on explains this one when one of its images is flipped back.""",
     "left-and-right-contradict": """
-        Each camera alone makes sense, but no single rotation and translation between them explains more than a few pairs. The
+        Each camera alone makes sense, but no single rotation and translation between them explains the pairs. The
         images were not taken at the same moment while something moved, the cameras moved against each other, or the two
         cameras number the board's corners differently.""",
     "focal-length-uncertain": """

@@ -395,11 +395,23 @@ _KINDS = (
         "pair the images again", InconsistentViewsError,
     ),
     FindingKind(
-        "left-and-right-contradict", _R, "No rig explains the pairs",
-        "left and right contradict each other: no rig explains more than {n_agreeing} of {n_views} pairs within {limit_px:.0f} px "
-        "(the best misses by {miss_px:.0f} px): {remedy}.",
-        "check that the pairs are simultaneous, that the rig is rigid, and that both cameras number the same board alike",
+        "one-side-mirrored", _R, "The images of one side are mirrored",
+        "the left images are mirrored against the right ones ({n_agreeing} of {n_views} pairs agree on a rig when one side is mirrored "
+        "back, within {mended_px:.2g} px in place of {miss_px:.2g} px): {remedy}.",
+        "give the images of both sides as the cameras took them, neither flipped nor transposed",
         InconsistentViewsError,
+    ),
+    FindingKind(
+        "left-and-right-contradict", _R, "No rig explains the pairs",
+        "left and right contradict each other: the best rig misses the corners of the {n_views} pairs by {miss_px:.2g} px in the median, "
+        "where each camera alone fits them to {own_px:.2g} px, and {n_agreeing} pairs agree on it: {remedy}.",
+        "check that the pairs are of the same moment, that the rig is rigid, and that both cameras number the same board alike",
+        InconsistentViewsError,
+    ),
+    FindingKind(
+        "images-mixed-up", _R, "The images fit the rig only otherwise than given",
+        "the images do not fit the rig as given (views are missed by {given_px:.3g} px), but do ({mended_px:.2g} px) if {how}: {remedy}.",
+        "{cure}", DataError,
     ),
     # --- data sets
     FindingKind(
@@ -667,6 +679,11 @@ _KINDS = (
     FindingKind(
         "view-shifted", _N, "A view numbered off by a row or column",
         "the {camera} corners are shifted by {shift} against the other camera; {remedy}", "detect this view again",
+    ),
+    FindingKind(
+        "view-mirrored", _N, "One image of a pair is mirrored",
+        "the {camera} image is mirrored: left and right miss each other by {miss_px:.2g} px as given, by {typical_px:.1g} px in other views; "
+        "{remedy}", "give it as the camera took it",
     ),
     FindingKind(
         "view-mismatched", _N, "A pair that does not show one board pose",

@@ -9,6 +9,7 @@ from simulated_rigs import T_RIGHT_LEFT, TABLE2, Rig, grid, project, rotation_er
 
 from binocal.errors import BinocalError, DataError, DegenerateGeometryError, InconsistentViewsError, TooFewViewsError
 from binocal.evidence import Detections
+from binocal.findings import findings_of
 from binocal.geometry import SE3, so3
 from binocal.geometry.homography import fit_homographies
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
@@ -360,3 +361,29 @@ def test_tilts_that_leave_the_focal_length_open_are_refused() -> None:
     uncertain = replace(initial, vanishing=replace(initial.vanishing, sigma_log_focal=0.6))
     with pytest.raises(DegenerateGeometryError, match="60 %"):
         check_degeneracy("left", uncertain, rig.points)
+
+
+def _mirrored(px: np.ndarray, width: int) -> np.ndarray:
+    """As a finder numbers the corners of a flipped image: row by row from its own left."""
+    flipped = px * [-1, 1] + [width - 1, 0]
+    order = np.lexsort((-grid()[:, 0], grid()[:, 1]))
+    return flipped[:, order]
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_mirrored_side_is_said_to_be_mirrored(side: str) -> None:
+    rig = simulate(0)
+    images = {f"{side}_px": _mirrored(getattr(rig, f"{side}_px"), rig.size_wh[0])}
+    with pytest.raises(InconsistentViewsError, match="left images are mirrored against the right ones") as caught:
+        diagnose_views(rig.detections(**images))
+    (found,) = findings_of(caught.value)
+    assert found.code == "one-side-mirrored" and found.figures["mended_px"] < 1 < found.figures["miss_px"]
+
+
+def test_mirrored_images_of_some_views_are_named() -> None:
+    rig = simulate(0)
+    px = rig.right_px.copy()
+    px[[3, 8]] = _mirrored(px[[3, 8]], rig.size_wh[0])
+    diagnosis = diagnose_views(rig.detections(right_px=px))
+    assert {view.name: view.code for view in diagnosis.rejected} == {"03": "view-mirrored", "08": "view-mirrored"}
+    assert all("right image is mirrored" in view.reason for view in diagnosis.rejected)

@@ -12,7 +12,7 @@ from binocal.boards import Board
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
 from binocal.evidence import Detections
-from binocal.findings import Finding
+from binocal.findings import Finding, refusal
 from binocal.formats import rig_json
 from binocal.metrics import image, pose
 from binocal.metrics.held_out import Criterion, criteria_on_exact_views, exact_views, is_inside
@@ -115,7 +115,8 @@ def evaluate_images(
     With the ``calibration`` that the rig is of, also whether the images agree with it as far as its standard deviations allow.
 
     Raises:
-        DataError: The images cannot be used, their size is not the rig's, or the board lacks the length it needs.
+        DataError: The images cannot be used, their size is not the rig's, the board lacks the length it needs, or they fit the rig
+            only exchanged, mirrored, upside down or paired otherwise.
     """
     if rig.is_metric and not board.is_metric:
         raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
@@ -146,8 +147,11 @@ def _evaluate_detections(
     notes: list[str],
     calibration: StereoCalibration | None,
 ) -> ImageEvaluation:
+    from binocal.metrics.image_mixups import find_mixup
     from binocal.metrics.order import order_corners
 
+    if mixup := find_mixup(rig, detections):
+        raise refusal(mixup)
     ordered = order_corners(rig, detections)
     detections = ordered.detections
     notes += ordered.notes

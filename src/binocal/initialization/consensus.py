@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 from numpy import ndarray
 
+from binocal.cameras.models import camera_model
 from binocal.evidence import Detections
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3
 from binocal.initialization.input_checks import MIN_VIEWS
 from binocal.initialization.intrinsics import InitialCamera
-from binocal.initialization.poses import BoardPoses, select_poses
+from binocal.initialization.poses import BoardPoses, estimate_poses, select_poses
 from binocal.initialization.relative_pose import Consensus, estimate_relative_pose, transfer_px
 from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, no_symmetry
+from binocal.shapes import Float
 
 _MAX_SHIFT = 3
 
@@ -57,6 +59,11 @@ def find_consensus(cameras: list[InitialCamera], detections: Detections) -> tupl
         if (other_typical < 3 * max(typical, own) and n_more > 0) or other_typical < typical / 3:
             consensus, share, typical = other, other_share, other_typical
     is_sound = share > 0.5 and typical < trusted_px
+
+    def explains(share: float, px: float) -> bool:
+        """Whether the views agree when they are read otherwise."""
+        return share > 0.7 and px < max(trusted_px, 2.0) and px < (typical + own) / 3
+
     if not is_sound:
         for shift in sorted((s for s in range(-_MAX_SHIFT, _MAX_SHIFT + 1) if s), key=abs):
             moved = _shifted(right, shift)
@@ -64,7 +71,7 @@ def find_consensus(cameras: list[InitialCamera], detections: Detections) -> tupl
                 continue
             other = estimate_relative_pose(left, moved, symmetries.motions, start_rms_px=start_px)
             other_share, other_typical = _quality(other)
-            if other_share > 0.7 and other_typical < max(trusted_px, 2.0) and other_typical < (typical + own) / 3:
+            if explains(other_share, other_typical):
                 k = int(np.flatnonzero(other.agrees)[0])
                 found = finding(
                     "pairs-shifted",
@@ -75,13 +82,24 @@ def find_consensus(cameras: list[InitialCamera], detections: Detections) -> tupl
                     n_views=int(np.sum(other.symmetry >= 0)),
                 )
                 raise refusal(found)
+        back = mirrored_back(cameras[1], detections.right_px, detections.object_points_m, symmetries)
+        if back is not None and np.sum(left.is_usable & back.is_usable) >= MIN_VIEWS:
+            other = estimate_relative_pose(left, back, symmetries.motions, start_rms_px=start_px)
+            other_share, other_typical = _quality(other)
+            if explains(other_share, other_typical):
+                n_agreeing, n_views = int(other.agrees.sum()), int(np.sum(other.symmetry >= 0))
+                found = finding(
+                    "one-side-mirrored",
+                    n_agreeing=n_agreeing,
+                    n_views=n_views,
+                    mended_px=other_typical,
+                    miss_px=typical,
+                )
+                raise refusal(found)
         if not share >= 0.5 or typical > max(0.02 * diagonal, trusted_px):
+            n_agreeing, n_views = int(consensus.agrees.sum()), int(np.sum(consensus.symmetry >= 0))
             found = finding(
-                "left-and-right-contradict",
-                n_agreeing=int(consensus.agrees.sum()),
-                n_views=int(np.sum(consensus.symmetry >= 0)),
-                limit_px=max(0.02 * diagonal, trusted_px),
-                miss_px=typical,
+                "left-and-right-contradict", n_agreeing=n_agreeing, n_views=n_views, miss_px=typical, own_px=own
             )
             raise refusal(found)
     return consensus, symmetries
@@ -96,8 +114,32 @@ def _shifted(poses: BoardPoses, shift: int) -> BoardPoses:
     return replace(moved, is_usable=moved.is_usable & inside)
 
 
-def explain_view(view: int, consensus: Consensus, cameras: list[InitialCamera], points: ndarray) -> Finding:
-    """Why one view disagrees: corners shifted by a row or column, or another board pose altogether."""
+def mirrored_back(
+    camera: InitialCamera, px: Float[ndarray, "views n 2"], points: Float[ndarray, "n 3"], symmetries: BoardSymmetries
+) -> BoardPoses | None:
+    """A camera's board poses if its images were mirrored: those of the flipped images, whose boards a finder numbers the other way.
+
+    Which axis was flipped does not matter: the other is this one and a turn of the camera. None for boards that tell their mirror image.
+    """
+    mirrors = np.flatnonzero(symmetries.motions.R[:, 2, 2] < 0)
+    if not len(mirrors):
+        return None
+    order = symmetries.order[mirrors[0]]
+    width_px = camera.size_wh[0]
+    values = dict(zip(camera_model(camera.model).parameter_names, camera.parameters.tolist(), strict=True))
+    values["cx"] = width_px - 1 - values["cx"]
+    for odd in ("skew", "p2"):  # change their sign with x
+        values[odd] = -values[odd] if odd in values else 0.0
+    parameters = np.array([values[name] for name in camera_model(camera.model).parameter_names])
+    flipped = px * [-1.0, 1.0] + [width_px - 1.0, 0.0]
+    return estimate_poses(camera.model, parameters, points, flipped[:, order], camera.weights[:, order])
+
+
+def explain_view(
+    view: int, consensus: Consensus, cameras: list[InitialCamera], detections: Detections, symmetries: BoardSymmetries
+) -> Finding:
+    """Why one view disagrees: corners shifted by a row or column, an image mirrored, or another board pose altogether."""
+    points = detections.object_points_m
     miss = float(consensus.miss_px[view])
     xy = points[:, :2]
     columns, rows = (np.unique(np.round(xy[:, axis], 9)) for axis in range(2))
@@ -120,6 +162,8 @@ def explain_view(view: int, consensus: Consensus, cameras: list[InitialCamera], 
         how_many = f"one {name}" if count == 1 else f"two {name}s"
         return finding("view-shifted", camera=side, shift=how_many)
     typical_px = float(np.median(consensus.miss_px[consensus.agrees]))
+    if (side := _mirrored_side(view, consensus, cameras, detections, symmetries)) is not None:
+        return finding("view-mirrored", camera=side, miss_px=miss, typical_px=typical_px)
     return finding("view-mismatched", miss_px=miss, typical_px=typical_px)
 
 
@@ -133,3 +177,23 @@ def side_to_reorder(view: int, symmetry: int, consensus: Consensus, cameras: lis
         # Board axes against the image's own, or against those of the other views
         score.append(float(np.sum(typical * (np.eye(3) if mostly else camera.poses.R[view]))))
     return 0 if score[0] < score[1] else 1
+
+
+def _mirrored_side(
+    view: int, consensus: Consensus, cameras: list[InitialCamera], detections: Detections, symmetries: BoardSymmetries
+) -> str | None:
+    """The camera whose image of a view is mirrored; None where that does not explain why the view disagrees."""
+    found: list[tuple[float, str]] = []
+    views = np.array([view])
+    for k, side in enumerate(("left", "right")):
+        camera = replace(cameras[k], weights=cameras[k].weights[views])
+        back = mirrored_back(camera, getattr(detections, f"{side}_px")[views], detections.object_points_m, symmetries)
+        if back is None or not back.is_usable[0]:
+            continue
+        pair = [select_poses(other.poses, views) for other in cameras]
+        pair[k] = back
+        for motion in symmetries.motions:
+            found.append((float(transfer_px(consensus.T_right_left, pair[0], pair[1], motion)[0]), side))
+    px, side = min(found, default=(np.inf, ""))
+    # intrinsics that were estimated from mirrored views among others are off by some pixels
+    return side if px < float(consensus.miss_px[view]) / 3 and px < 5 * consensus.limit_px else None

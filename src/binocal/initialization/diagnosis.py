@@ -119,7 +119,7 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
     R, t = consensus.R_left_board.copy(), consensus.t_left_board.copy()
     for view in np.flatnonzero(consensus.symmetry >= 0):
         if not consensus.agrees[view]:
-            reasons[int(view)] = explain_view(int(view), consensus, cameras, points)
+            reasons[int(view)] = explain_view(int(view), consensus, cameras, detections, symmetries)
         elif consensus.symmetry[view] > 0:
             k = int(consensus.symmetry[view])
             side = side_to_reorder(int(view), k, consensus, cameras)

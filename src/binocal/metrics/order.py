@@ -42,7 +42,7 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     says so.
     """
     best = estimate_board_poses(rig, detections)
-    residual_px = _typical_px(best)
+    residual_px = typical_px(best)
     symmetries = board_symmetries(detections.object_points_m)
     orders, notes = {}, {}
     R, t = best.T_left_board.R.copy(), best.T_left_board.t.copy()
@@ -54,9 +54,9 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
         views = detections.select(suspects)
         moved = views.reorder("right", {view: symmetries.order[k] for view in range(views.n_views)})
         poses = estimate_board_poses(rig, moved)
-        for i in np.flatnonzero(_typical_px(poses) < limit_px[suspects]):
+        for i in np.flatnonzero(typical_px(poses) < limit_px[suspects]):
             view = suspects[i]
-            limit_px[view] = _typical_px(poses)[i]
+            limit_px[view] = typical_px(poses)[i]
             orders[int(view)] = symmetries.order[k]
             R[view], t[view], is_found[view] = poses.T_left_board.R[i], poses.T_left_board.t[i], poses.is_found[i]
             notes[view] = (
@@ -73,7 +73,7 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     return OrderedViews(ordered, SE3(R, t), tuple(notes[view] for view in sorted(notes)))
 
 
-def _typical_px(poses: PosedViews) -> Float[ndarray, "views"]:
+def typical_px(poses: PosedViews) -> Float[ndarray, "views"]:
     """Median residual length of each view, both cameras; NaN where nothing was seen."""
     r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
     typical = np.full(len(r2), np.nan)
