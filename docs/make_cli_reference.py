@@ -19,7 +19,8 @@ this page.
 
 Results go to stdout, everything else (what was ignored or dropped and why, progress) to stderr.
 With `--json`, stdout holds exactly one document, on errors too:
-`{"error": {"code": ..., "message": ...}}`. Nothing is overwritten without `--force`; a file is
+`{"error": {"code": ..., "message": ...}}`. An output that is a symbolic link is followed: the file
+that it names is written, the link stays. Nothing is overwritten without `--force`; a file is
 there in full or not at all, a folder too, whenever a command ends or is killed. What a killed one
 leaves is hidden, ends in `.part`, and is removed by the next that writes the same output.
 

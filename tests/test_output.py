@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import stat
@@ -165,3 +166,39 @@ def test_links_of_the_system_are_never_replaced():
         output.check_output("/dev/stdin", force=True)
     with pytest.raises(DataError, match="is a pipe or a device"):
         output.check_output("/proc/self/status", force=True)
+
+
+def test_a_link_is_followed_and_stays(tmp_path):
+    (tmp_path / "store").mkdir()
+    link, target = tmp_path / "rig.json", tmp_path / "store" / "today.json"
+    link.symlink_to(target)
+    output.write_aside(link, "first")  # what it names is not there yet
+    with pytest.raises(OutputExistsError):
+        output.write_aside(link, "second")
+    output.write_aside(link, "second", force=True)
+    assert link.is_symlink() and target.read_text() == "second" and not target.is_symlink()
+    assert sorted(path.name for path in (tmp_path / "store").iterdir()) == ["today.json"]
+
+
+def test_a_link_that_leads_nowhere_is_named(tmp_path):
+    (tmp_path / "broken").symlink_to(tmp_path / "gone" / "rig.json")
+    (tmp_path / "round").symlink_to("round")
+    with pytest.raises(DataError, match="is a link to .*whose folder is missing"):
+        output.write_aside(tmp_path / "broken", "text")
+    with pytest.raises(DataError, match="round: cannot be a file"):
+        output.write_aside(tmp_path / "round", "text", force=True)
+    assert not (tmp_path / "gone").exists()
+
+
+def test_a_failure_leaves_no_folder(tmp_path, monkeypatch):
+    output.check_output(tmp_path / "a" / "rig.json")
+    output.check_output_folder(tmp_path / "b" / "out")
+    assert not list(tmp_path.iterdir())  # to ask makes nothing
+
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(OutputError, match="No space left"):
+        output.write_together({tmp_path / "new" / "deep" / "rig.json": "text", tmp_path / "other.json": "text"})
+    assert not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 Everything is made aside first, under a hidden name that ends in ``.part``, and then renamed. A process that is killed leaves its part;
 the next one that writes the same output removes it. A part is locked while its process lives, so that none is taken from another.
+A symbolic link is followed: what it names is written, beside which the part is made, and the link stays.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ MOST_TRIES = 50  # for a part that nobody else takes for stale; some folders ref
 
 
 def check_output(path: str | Path, *, force: bool = False) -> Path:
-    """The path as a :class:`Path`, once it is known that a result may be written there; its folder is made if missing.
+    """The path that a result may be written to: the given one, or the file that it is a symbolic link to.
 
     Raises:
         OutputExistsError: Something is there and ``force`` is False.
@@ -41,6 +42,7 @@ def check_output(path: str | Path, *, force: bool = False) -> Path:
     path = Path(path)
     try:
         mode = _mode(path)
+        is_link = path.is_symlink()
     except (OSError, ValueError) as error:
         raise DataError(f"{_shown(path)}: cannot be a file: {_words(error)}.") from None
     if mode is not None and stat.S_ISDIR(mode):
@@ -48,14 +50,17 @@ def check_output(path: str | Path, *, force: bool = False) -> Path:
     is_of_system = path.absolute().parts[1:2] in (
         ("dev",),
         ("proc",),
-    )  # /dev/stdout may lead to a file: the link would be replaced
+    )  # /dev/stdout may lead to a file, which is whatever the shell opened
     if mode is not None and (is_of_system or not stat.S_ISREG(mode)):
         raise DataError(f"{path} is a pipe or a device; name an ordinary file.")
     if mode is not None and not force:
         raise OutputExistsError(path)
-    _make_parent(path)
-    if not os.access(path.parent, os.W_OK):
-        raise DataError(f"{path.parent}: the output's folder cannot be written to; choose another output.")
+    if is_link:
+        target = Path(os.path.realpath(path))
+        if not target.parent.is_dir():
+            raise DataError(f"{path} is a link to {_shown(target)}, whose folder is missing; mend the link, or name a file.")
+        path = target
+    _check_parent(path)
     return path
 
 
@@ -79,6 +84,8 @@ def write_together(contents: Mapping[str | Path, Content], *, force: bool = Fals
     targets = [(check_output(path, force=force), content) for path, content in contents.items()]
     with contextlib.ExitStack() as parts:
         asides = []
+        for path, _ in targets:
+            parts.enter_context(_parent_made(path))
         for path, content in targets:
             data = content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content
             asides.append((parts.enter_context(_part_file(path, data)), path))
@@ -107,7 +114,7 @@ def check_output_folder(output: str | Path, *, force: bool = False) -> Path:
         raise DataError(f"{output} is a file; name a folder for the output.")
     if not is_empty and not force:
         raise OutputExistsError(output)
-    _make_parent(output)
+    _check_parent(output)
     return output
 
 
@@ -142,7 +149,7 @@ def staged_folder(
         DataError: It cannot be a folder. OutputError: It cannot be written to.
     """
     output = Path(os.path.realpath(check_output_folder(output, force=force)))
-    with _part_folder(output) as aside:
+    with _parent_made(output), _part_folder(output) as aside:
         try:
             yield aside
         except OutputError as error:  # by the name that the file would have had
@@ -310,11 +317,35 @@ def _mode(path: Path) -> int | None:
         return None
 
 
-def _make_parent(path: Path) -> None:
+def _check_parent(path: Path) -> None:
+    """Nothing is made yet: whoever only asks, or fails before he writes, leaves no folder behind."""
+    folder = path.absolute().parent
+    try:
+        while _mode(folder) is None:
+            folder = folder.parent
+    except OSError as error:
+        raise DataError(f"{_shown(path.parent)}: the output's folder cannot be made: {_words(error)}.") from None
+    if not folder.is_dir():
+        raise DataError(f"{_shown(path.parent)}: the output's folder cannot be made: {_shown(folder)} is a file.")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise DataError(f"{_shown(path.parent)}: the output's folder cannot be written to; choose another output.")
+
+
+@contextlib.contextmanager
+def _parent_made(path: Path) -> Iterator[None]:
+    """The folder of an output, made where it is missing, and taken away again if the block fails and leaves it empty."""
+    missing = [folder for folder in (path.absolute().parent, *path.absolute().parent.parents) if not folder.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{_shown(path.parent)}: the output's folder cannot be made: {_words(error)}.") from None
+    try:
+        yield
+    except BaseException:
+        for folder in missing:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def _words(error: Exception) -> str:
