@@ -183,7 +183,7 @@ def test_a_link_is_followed_and_stays(tmp_path):
 def test_a_link_that_leads_nowhere_is_named(tmp_path):
     (tmp_path / "broken").symlink_to(tmp_path / "gone" / "rig.json")
     (tmp_path / "round").symlink_to("round")
-    with pytest.raises(DataError, match="is a link to .*whose folder is missing"):
+    with pytest.raises(DataError, match=r"is a link to .*whose folder is missing"):
         output.write_aside(tmp_path / "broken", "text")
     with pytest.raises(DataError, match="round: cannot be a file"):
         output.write_aside(tmp_path / "round", "text", force=True)
