@@ -227,6 +227,10 @@ EXPLANATIONS = {
     "rests-on-few-views": """
         Rotation and translation between the cameras come from views that both of them see. Where such views are few, or two
         or three outweigh all others, or most of the given views were left out, nothing is left to notice an error in them.""",
+    "too-few-views-beside-copies": """
+        No rig follows from the views, and half of them or more are exact copies of others, or all but one or two are: a pair
+        that was saved several times, or a list that repeats a name. Copies show nothing new, so tilting the board in them
+        cannot be asked for: other pairs are needed.""",
     "views-copied": """
         Exact copies of an image add no information, but would make all standard deviations smaller. They are counted once.""",
     "few-different-poses": """

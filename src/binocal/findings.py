@@ -357,6 +357,12 @@ _KINDS = (
         "give the board as it is printed", InconsistentViewsError,
     ),
     FindingKind(
+        "too-few-views-beside-copies", _R, "Most views are copies of a few",
+        "{n_copies} of {n_given} views are copies of others (first: {view} of {original}): {n_left} different view{plural}, no rig "
+        "follows from so few; {remedy}.",
+        "take pairs with the board elsewhere and tilted otherwise in each", DegenerateGeometryError,
+    ),
+    FindingKind(
         "too-few-poses", _R, "The board stands in the same few poses in all views",
         "the {camera} camera sees the board in only {n_poses} different pose{plural} in {n_views} views: focal length and "
         "principal point are undetermined; {remedy}.",

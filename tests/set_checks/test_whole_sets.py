@@ -132,6 +132,15 @@ def test_copies_count_once(n_copies):
     assert [(v.name, v.code) for v in calibration.rejected] == [(f"copy{i}", "view-copied") for i in range(n_copies)]
 
 
+def test_one_view_six_times_is_said_to_be_copies():
+    detections = Recording(3).corners()
+    same = replace(detections.select(np.zeros(6, dtype=int)), names=tuple("012345"))
+    with pytest.raises(CalibrationError, match="5 of 6 views are copies") as caught:
+        calibrate(same)
+    assert caught.value.findings[0].code == "too-few-views-beside-copies"
+    assert caught.value.rejected["1"] == "a copy of view 0"
+
+
 def test_views_of_one_pose_are_counted():
     views = Recording(4, n_views=8)
     views.in_left, views.in_right = (np.repeat(x, 3, axis=0) for x in (views.in_left, views.in_right))

@@ -23,6 +23,7 @@ from binocal.calibrators.registry import (
     model_for,
     refuse_unsuited,
 )
+from binocal.errors import CalibrationError
 from binocal.evidence import Detections
 from binocal.evidence.rectangles import RectanglePairs
 from binocal.evidence.zoom_settings import ZoomSettings
@@ -116,7 +117,14 @@ def calibrate_as_requested(
         selection = select_views(evidence, request, calibrator=calibrator)
         used = evidence.select(selection.views)
         view_choice = {"view_choice": selection.document(request.max_views)}
-    calibration = calibrate_named_or_best_model(used, method, request)
+    try:
+        calibration = calibrate_named_or_best_model(used, method, request)
+    except CalibrationError:
+        if isinstance(used, Detections):
+            from binocal.calibrators.set_checking import refuse_copies
+
+            refuse_copies(used)
+        raise
     if isinstance(used, Detections):
         calibration = with_corner_orders(calibration, used)
     return with_provenance(calibration, calibrator, request, dict(inputs or {}) | view_choice)

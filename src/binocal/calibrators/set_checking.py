@@ -8,6 +8,7 @@ import numpy as np
 
 from binocal import acceptance
 from binocal.acceptance.whole_set import APART_T
+from binocal.calibrators.base import MIN_VIEWS
 from binocal.calibrators.board_and_exposures import RealViewsSolve
 from binocal.calibrators.summary import assumption_findings, noise_findings
 from binocal.evidence import Detections
@@ -19,6 +20,7 @@ from binocal.set_checks.shifted_lists import find_shift
 SAME_POSE_SIGMAS = 3 * np.sqrt(2)  # of corner noise between two views: below, they are one pose measured twice
 SHIFTED_LEAVES = 5.0  # times the noise with exposures freed; what leaves more is motion that a shift resembles
 FEW_POSES_SHARE = 0.6  # of the views
+MOST_COPIES = 0.5  # share of the views
 
 
 def without_copies(detections: Detections) -> tuple[Detections, tuple[RejectedView, ...], tuple[Finding, ...]]:
@@ -35,6 +37,16 @@ def without_copies(detections: Detections) -> tuple[Detections, tuple[RejectedVi
     view, original = copies[0]
     found = finding("views-copied", n_copies=len(copies), n_given=len(names), view=view, original=original)
     return detections.select(~is_copy), rejected, (found,)
+
+
+def refuse_copies(detections: Detections) -> None:
+    """For a set that no rig follows from: raises DegenerateGeometryError where copies are most of its views, or leave too few."""
+    given, copies, found = without_copies(detections)
+    if copies and (given.n_views < MIN_VIEWS or len(copies) > MOST_COPIES * detections.n_views):
+        n_left = given.n_views
+        plural = "" if n_left == 1 else "s"
+        figures = {**found[0].figures, "n_left": n_left, "plural": plural}
+        raise refusal(finding("too-few-views-beside-copies", **figures), {view.name: view.reason for view in copies})
 
 
 def refuse_shifted_lists(calibration: StereoCalibration, solve: RealViewsSolve) -> None:
