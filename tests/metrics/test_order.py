@@ -49,6 +49,14 @@ def test_a_wrong_pair_is_not_explained_away():
     np.testing.assert_array_equal(ordered.detections.right_px, right)
 
 
+def test_a_turn_that_leaves_a_view_strange_is_no_repair():
+    rig, detections = scene()
+    right = detections.right_px.copy()
+    right[0] = right[1, ::-1]  # another view's: 25 px off as given, 3 px turned
+    ordered = order_corners(rig, replace(detections, right_px=right))
+    assert ordered.notes == ()
+
+
 def test_what_only_a_mirror_explains_is_not_repaired():
     rig, detections = scene()
     rows = np.arange(88).reshape(8, 11)

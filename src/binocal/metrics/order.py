@@ -38,8 +38,8 @@ class OrderedViews:
 def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     """Bring the right corners of each view into the order of the left ones, as turns of the board onto itself allow.
 
-    A view's corners are reordered only where that makes its typical (median) residual at least 5 times smaller; a note
-    says so.
+    A view's corners are reordered only where that makes its typical (median) residual at least 5 times smaller, and the view no
+    stranger than others; a note says so.
     """
     best = estimate_board_poses(rig, detections)
     residual_px = typical_px(best)
@@ -48,7 +48,8 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     R, t = best.T_left_board.R.copy(), best.T_left_board.t.copy()
     is_found = best.is_found.copy()
     suspects = np.flatnonzero(residual_px > SUSPECT_PX)
-    limit_px = residual_px / CLEAR_FACTOR
+    usual_px = float(np.median(residual_px[np.isfinite(residual_px)])) if np.isfinite(residual_px).any() else 0.0
+    limit_px = np.minimum(residual_px / CLEAR_FACTOR, max(SUSPECT_PX, CLEAR_FACTOR * usual_px))
     turns = [k for k in range(1, len(symmetries.names)) if symmetries.motions.R[k, 2, 2] > 0]
     for k in turns if len(suspects) else ():
         views = detections.select(suspects)
