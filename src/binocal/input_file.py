@@ -57,7 +57,7 @@ def check_ordinary(path: str | os.PathLike[str]) -> None:
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
-        raise FormatError(path, "there is no such file; check the name") from None
+        raise FormatError(path, "is missing (no such file); check the name") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL byte in the name
         raise FormatError(path, f"cannot be read: {_words(error)}") from None
     for is_kind, words in _KINDS:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+_INTEGER = "tag:yaml.org,2002:int"
 Constructor = Callable[[Mapping[Any, Any]], Any]
 
 
@@ -27,6 +29,13 @@ def parse_yaml(text: str, tagged_mappings: Mapping[str, Constructor] | None = No
                 raise ComposerError(None, None, "it holds an alias (*name)", self.peek_event().start_mark)
             return super().compose_node(parent, index)
 
+    # whole numbers are decimal: 0x14, 010 or 1:30 would be other numbers than a reader sees
+    Loader.yaml_implicit_resolvers = {
+        first: [(tag, form) for tag, form in forms if tag != _INTEGER]
+        for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    Loader.add_implicit_resolver(_INTEGER, re.compile(r"[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789"))
+
     def constructor(construct: Constructor) -> Callable[[Any, Any], Any]:
         return lambda loader, node: construct(loader.construct_mapping(node, deep=True))
 
@@ -36,6 +45,10 @@ def parse_yaml(text: str, tagged_mappings: Mapping[str, Constructor] | None = No
         return yaml.load(text, Loader)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
-    except (yaml.YAMLError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as error:
-        # PyYAML lets pass what its conversions of ill-formed numbers, dates and binary data raise
+    except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+    except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError):
+        # what PyYAML's conversions let pass: their words are about Python, not about the file
+        raise ValueError(
+            "a number, date or other tagged value in it is ill-formed, or has thousands of digits"
+        ) from None

@@ -64,7 +64,9 @@ def test_boards_too_small_to_be_are_refused(length):
 
 def test_names_reach_the_terminal_written_out():
     assert one_line("a\nb\x1b[31m\x9b") == "a b\\x1b[31m\\x9b"
-    assert group_lines("dropped", [("a\nb\x1b[31m", "is an empty file")]) == ["dropped a b\\x1b[31m: is an empty file"]
+    assert group_lines("dropped", "image", [("a\nb\x1b[31m", "is an empty file")]) == [
+        "dropped image a b\\x1b[31m: is an empty file"
+    ]
 
 
 def test_images_that_show_nothing_are_not_called_one_file_alone(tmp_path, capsys):
@@ -81,3 +83,62 @@ def test_images_that_show_nothing_are_not_called_one_file_alone(tmp_path, capsys
     ]
     assert main(["calibrate", *arguments]) == 3
     assert "black or white all over" in capsys.readouterr().err
+
+
+def test_patterns_that_the_shell_expanded_are_named(tmp_path, capsys):
+    given = images(tmp_path)
+    expanded = [given[0], *sorted(str(path) for path in tmp_path.glob("left_*")), *given[2:]]
+    assert main(["calibrate", *expanded, "--output", str(tmp_path / "rig.json")]) == 2
+    assert "put patterns in quotes: --left 'left_*.png'" in capsys.readouterr().err
+    assert main(["calibrate", *given, "no-such-file", "--output", str(tmp_path / "rig.json")]) == 2
+    assert "quotes" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("board: !!timestamp .02", "ill-formed"),
+        (f"targetCols: {'9' * 6000}", "thousands of digits"),
+        (
+            "{target_type: checkerboard, targetCols: 9, targetRows: 6, colSpacingMeters: 0x14, rowSpacingMeters: 0x14}",
+            "colSpacingMeters must be a positive number; got '0x14'",
+        ),
+    ],
+)
+def test_board_files_are_refused_in_words_about_the_file(content, words, tmp_path, capsys):
+    (tmp_path / "board.yaml").write_text(content)
+    given = [*images(tmp_path)[:4], "--board", str(tmp_path / "board.yaml")]
+    assert main(["calibrate", *given, "--output", str(tmp_path / "rig.json")]) == 3
+    said = capsys.readouterr().err
+    assert words in said and "Python" not in said and "sys." not in said
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("circles:1x1:30mm", "too small for a circle grid. See"),
+        ("chessboard:9x6:30m", "0.03)? See"),
+    ],
+)
+def test_boards_are_refused_in_whole_sentences(spec, words, tmp_path, capsys):
+    given = [*images(tmp_path)[:4], "--board", spec]
+    assert main(["calibrate", *given, "--output", str(tmp_path / "rig.json")]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_pipe_as_board_is_named(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    given = [*images(tmp_path)[:4], "--board", str(tmp_path / "pipe")]
+    assert main(["calibrate", *given, "--output", str(tmp_path / "rig.json")]) == 3
+    assert "is a pipe, not an ordinary file" in capsys.readouterr().err
+
+
+def test_no_number_is_refused_in_plain_words(capsys):
+    assert main(["simulate", "--board", "chessboard:4x3:30mm", "--noise", "nan", "--output", "never"]) == 2
+    assert "Input" not in capsys.readouterr().err
+
+
+def test_reasons_that_differ_in_numbers_share_a_line():
+    reasons = [(f"left_{k}.png", f"no circle grid found ({k} round spots seen)") for k in range(7)]
+    (line,) = group_lines("dropped", "image", reasons)
+    assert line.startswith("dropped 7 images (left_0.png") and "such as no circle grid found (0" in line

@@ -40,8 +40,8 @@ def test_calibrate_writes_the_rig_and_a_summary(fakes, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("warning: left and right look exchanged")
     assert "yaw" in out and "baseline" in out and "Views    6 used, 1 dropped" in out
-    assert "07: no board found in the right image" in out and "Wrote    new/rig.json" in out
-    assert "ignored left99 copy.png: a copy of left99.png" in err and "dropped 07: no board found" in err
+    assert "view 07: no board found in the right image" in out and "Wrote    new/rig.json" in out
+    assert "ignored file left99 copy.png: a copy of left99.png" in err and "dropped view 07: no board found" in err
     assert rig_json.read_rig("new/rig.json").baseline_m == pytest.approx(fakes.rig.baseline_m)
     assert os.listdir("new") == ["rig.json"]
 
@@ -142,9 +142,9 @@ def test_an_error_lists_what_was_dropped(fakes, capsys):
         ]
     )
     assert err.splitlines()[:4] == [
-        "ignored left99 copy.png: a copy of left99.png",
-        "dropped 07: no board found in the right image",
-        "dropped 05: mismatched pair",
+        "ignored file left99 copy.png: a copy of left99.png",
+        "dropped view 07: no board found in the right image",
+        "dropped view 05: mismatched pair",
         "note: left and right images differ in size",
     ]
 
@@ -156,7 +156,7 @@ def test_equal_reasons_share_a_line(fakes, capsys):
     fakes.calibrate = fail
     main(CALIBRATE)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dropped")]
-    assert lines == [f"dropped 88 ({', '.join(f'left{i:02d}.png' for i in range(8))} and 80 more): too dark"]
+    assert lines == [f"dropped 88 images ({', '.join(f'left{i:02d}.png' for i in range(8))} and 80 more): too dark"]
 
 
 @pytest.mark.filterwarnings("default")
@@ -318,7 +318,7 @@ def test_an_earlier_rig_is_a_prior_and_parts_of_it_are_held(fakes, capsys):
     [
         (["--hold", "left"], 2, "name the prior with --prior"),
         (["--prior", "earlier.json", "--hold", ""], 2, "empty name"),
-        (["--prior", "none.json"], 3, "none.json: there is no such file"),
+        (["--prior", "none.json"], 3, "none.json: is missing (no such file)"),
         (["--prior", "earlier.json", "--hold", "nose"], 2, "no 'nose' to hold"),
         (["--prior", "earlier.json", "--model", "fisheye4"], 2, "leave out --model"),
     ],

@@ -31,6 +31,14 @@ LARGEST_PITCH_M = (
 LARGEST_TAG_GAP_RATIO = 10.0  # Kalibr's is 0.3
 _KINDS = ("chessboard", "charuco", "aprilgrid", "circles", "acircles")
 
+_NAMES = {
+    "chessboard": "a chessboard",
+    "charuco": "a ChArUco board",
+    "aprilgrid": "an AprilGrid",
+    "circles": "a circle grid",
+    "acircles": "a staggered circle grid",
+}
+
 BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles"]
 
 
@@ -65,7 +73,7 @@ class Board:
         least = {"chessboard": 2, "charuco": 2, "aprilgrid": 1, "circles": 2, "acircles": 2}[self.kind]
         size = f"board {_shown(f'{self.columns}x{self.rows}')}"
         if self.columns < least or self.rows < least or self.n_points < 4:
-            raise ValueError(f"{size} is too small for a {self.kind}")
+            raise ValueError(f"{size} is too small for {_NAMES[self.kind]}")
         if self.n_points > MOST_POINTS:
             raise ValueError(f"{size} is too large: it has more than {MOST_POINTS} points; give columns x rows")
         if not (np.isfinite(self.pitch_m) and self.pitch_m > 0):

@@ -9,7 +9,7 @@ from typing import Any
 
 from binocal.boards.board import Board, parse_board
 from binocal.errors import FormatError
-from binocal.input_file import read_text
+from binocal.input_file import check_ordinary, exists, read_text
 from binocal.yaml_text import parse_yaml
 
 MOST_BYTES = 64 << 10  # a target file has ten lines
@@ -20,10 +20,13 @@ def load_board(spec_or_path: str) -> Board:
 
     Raises:
         ValueError: The text is neither a SPEC nor an existing file.
-        FormatError: The file is not a board.
+        FormatError: The file is not a board, or has another suffix.
     """
     path = Path(spec_or_path)
     if path.suffix.lower() not in (".yaml", ".yml"):
+        if ":" not in spec_or_path and exists(path):
+            check_ordinary(path)
+            raise FormatError(path, "is no board file: those end in .yaml or .yml")
         return parse_board(spec_or_path)
     text = read_text(path, most_bytes=MOST_BYTES)
     try:

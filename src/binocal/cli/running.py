@@ -22,6 +22,7 @@ from binocal.errors import (
     PluginError,
 )
 from binocal.findings import finding_document, findings_of
+from binocal.input_file import exists
 
 FAILURES = (
     NotConvergedError,
@@ -120,8 +121,9 @@ def _report(code: str, message: str, wants_json: bool, figures: dict[str, Any] |
     notes = [one_line(line) for line in figures.get("notes", [])]
     parts = [line.removeprefix("ignored ").partition(": ") for line in notes if line.startswith("ignored ")]
     ignored = [(path, reason) for path, _, reason in parts]
-    dropped = {**figures.get("reasons", {}), **figures.get("rejected", {})}
-    lines = group_lines("ignored", ignored) + group_lines("dropped", dropped.items())
+    lines = group_lines("ignored", "file", ignored)
+    lines += group_lines("dropped", "image", figures.get("reasons", {}).items())
+    lines += group_lines("dropped", "view", figures.get("rejected", {}).items())
     for line in (*lines, *(line for line in notes if not line.startswith("ignored "))):
         say(line)
     say(f"binocal: {one_line(message)}")
@@ -141,8 +143,16 @@ def _report_usage(error: Any, wants_json: bool) -> int:
     if type(error).__name__ == "NoArgsIsHelpError":
         print(message)
         return USAGE
-    _report("usage", f"{message.rstrip('. ')}. See `{command} --help`.", wants_json)
+    message = message.replace("Input should be", "it must be").rstrip(". ")
+    if extra := re.match(r"Got unexpected extra arguments? ?(\(s\))? ?\((?P<first>[^\s)]+)", message):
+        message += _about_patterns(extra["first"])
+    _report("usage", f"{message}{'' if message.endswith('?') else '.'} See `{command} --help`.", wants_json)
     return error.exit_code or USAGE
+
+
+def _about_patterns(argument: str) -> str:
+    """What an argument too many most often comes from, where it is a file: a pattern that the shell has expanded."""
+    return "; put patterns in quotes: --left 'left_*.png'" if exists(argument) else ""
 
 
 def _show_warning(message: Any, *_: Any, **__: Any) -> None:

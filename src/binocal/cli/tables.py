@@ -28,7 +28,8 @@ SURE_SIGMAS = 3.0  # of a bow or stretch, to be shown
 
 def list_left_out(ignored: Sequence[tuple[str, str]], rejected: Sequence[RejectedView], notes: Sequence[str]) -> None:
     """Everything that was left out, one line for each reason, on stderr."""
-    lines = group_lines("ignored", ignored) + group_lines("dropped", [(view.name, view.reason) for view in rejected])
+    lines = group_lines("ignored", "file", ignored)
+    lines += group_lines("dropped", "view", [(view.name, view.reason) for view in rejected])
     for line in (*lines, *(f"note: {one_line(note)}" for note in notes)):
         say(line)
 
@@ -270,7 +271,7 @@ def _rejected_lines(rejected: Sequence[RejectedView], n_used: int) -> list[str]:
     for view in rejected:
         by_reason[one_line(view.reason)].append(view.name)
     for reason, names in by_reason.items():
-        lines.append(f"         {list_names(names)}: {reason}")
+        lines.append(f"         view{'s' if len(names) > 1 else ''} {list_names(names)}: {reason}")
     return lines
 
 
