@@ -58,7 +58,9 @@ def check_output(path: str | Path, *, force: bool = False) -> Path:
     if is_link:
         target = Path(os.path.realpath(path))
         if not target.parent.is_dir():
-            raise DataError(f"{path} is a link to {_shown(target)}, whose folder is missing; mend the link, or name a file.")
+            raise DataError(
+                f"{path} is a link to {_shown(target)}, whose folder is missing; mend the link, or name a file."
+            )
         path = target
     _check_parent(path)
     return path
