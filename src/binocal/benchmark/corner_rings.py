@@ -26,22 +26,25 @@ from binocal.simulation import RenderOptions, render_image
 
 BOARDS = ("chessboard:5x4:60mm", "chessboard:9x6:30mm", "chessboard:11x8:25mm")
 OPTIONS = RenderOptions(blur_px=0.8, noise_dn=2.0)
-RINGS_PX = (0.0, 60.0, 120.0, 180.0, 240.0, 400.0)  # from the principal point
+RINGS_PX = (0.0, 60.0, 120.0, 180.0, 240.0, 400.0)  # from the principal point, in images that are 640 px wide
 MAX_START_PX = 0.7
 OUTLIER_PX = 0.5  # an error beyond it is counted as a failure
 _RADIUS_PX, _PER_REACH = (3.0, 14.0), 0.85  # of the disc that the fit takes
 _STEP_PITCHES = 1e-4  # along the board, for the tangents of its edges
 
 
-def measure_rings(images_a_lens: int, seed: int) -> list[dict[str, Any]]:
-    """A row for each lens and ring: corners, failures, bias, error over the bound and over its stated standard deviation (RMS)."""
+def measure_rings(images_a_lens: int, seed: int, size_wh: tuple[int, int] = (640, 480)) -> list[dict[str, Any]]:
+    """A row for each lens and ring: corners, failures, bias, error over the bound and over its stated standard deviation (RMS).
+
+    The lenses' focal lengths and the rings grow with the images' width.
+    """
     rows = []
     for degrees in LENSES:
-        camera = wide_camera(degrees)
+        camera = wide_camera(degrees, size_wh)
         shots = [_measure(camera, parse_board(BOARDS[i % len(BOARDS)]), seed, i) for i in range(images_a_lens)]
-        radius, outward, error2, best2, score2 = np.concatenate(shots).T
-        for low, high in pairwise(RINGS_PX):
-            inside = (radius >= low) & (radius < high)
+        distance, outward, error2, best2, score2 = np.concatenate(shots).T
+        for low, high in pairwise(radius * size_wh[0] / 640 for radius in RINGS_PX):
+            inside = (distance >= low) & (distance < high)
             good = inside & (np.nan_to_num(error2, nan=np.inf) < OUTLIER_PX**2)
             if not good.any():
                 continue
