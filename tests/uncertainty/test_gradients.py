@@ -79,6 +79,30 @@ def test_depth_and_rows_move_with_every_parameter(model, t):
         assert_close(rows[:, i], (plus[1] - minus[1]) / (2 * h))
 
 
+def test_rows_of_very_wide_lenses_are_angles_and_move_with_every_parameter():
+    """A pinhole's rows 85 degrees off the axis were 21797 px apart for a rig that is right to a pixel."""
+    camera = Camera("fisheye4", (640, 480), np.r_[184.0, 185.0, 320.0, 240.0, 0.0, 0.01, -0.004, 0.001, 0.0])
+    rig = StereoRig(camera, camera, SE3(so3.exp(np.array([0.01, 0.02, -0.01])), np.array([-0.1, 0.001, 0.002])))
+    px = np.array([[40.0, 60.0], [330.0, 20.0], [600.0, 460.0], [300.0, 250.0]])
+    rays = camera.unproject(px)
+    points = rays / np.linalg.norm(rays, axis=1)[:, None]  # 1 m away, some of them beside or behind the camera
+    seen = camera.project(points), camera.project(rig.T_right_left.apply(points))
+    names = names_of(rig)
+    rows = row_gradients(rig, names, px, 1.0)
+
+    def measured(other):
+        r = row_rectification(other)
+        assert r.projection == "cylindrical"
+        left = rectify_points(other.left, r.R_rect_left, r.P_left, seen[0])
+        return (left - rectify_points(other.right, r.R_rect_right, r.P_right, seen[1]))[:, 1]
+
+    np.testing.assert_allclose(measured(rig), 0, atol=1e-9)
+    for i, name in enumerate(names):
+        h = step_of(name)
+        assert_close(rows[:, i], (measured(moved(rig, name, h)) - measured(moved(rig, name, -h))) / (2 * h))
+    assert np.abs(measured(moved(rig, "rotation.z", 1e-3))).max() < 0.4  # no row is stretched
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("range_m", [0.7, np.inf])
 def test_projection_moves_with_every_parameter_and_with_the_boards(side, range_m):

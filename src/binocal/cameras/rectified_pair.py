@@ -20,6 +20,8 @@ from binocal.shapes import Float
 from binocal.values import ArrayValue, frozen_array
 
 COVERAGE_GRID = (64, 48)
+PINHOLE_COSINE = float(np.cos(np.radians(75.0)))  # rows of a pinhole are 15 times as far apart there as in the middle
+BORDER_PLACES = 9  # along each side of an image
 
 Projection: TypeAlias = "Float[ndarray, '3 4'] | EpipolarProjection"
 """A pinhole's 3x4 matrix, or a projection that has none."""
@@ -152,10 +154,12 @@ def rectify_cameras(
 
 
 def rectify_at_camera_scale(left: Camera, right: Camera, T_right_left: SE3) -> Rectification:
-    """A pinhole of the cameras' own scale, whatever of the images it shows: rows are then in pixels of the cameras.
+    """A projection of the cameras' own scale, whatever of the images it shows: rows are then in pixels of the cameras.
 
-    The focal length is the smaller of the vertical ones (the horizontal ones if vertical), the common principal point centres the
-    middles of both images. For row errors of single points; to see images, rectify them by :func:`rectify_cameras`.
+    A pinhole, or a cylinder about the baseline where a camera sees farther than 75° from the rectified direction: a pinhole's rows
+    grow beyond bounds there. The focal length is the smaller of the vertical ones (the horizontal ones if vertical), the common
+    principal point centres the middles of both images. For row errors of single points; to see images, rectify them by
+    :func:`rectify_cameras`.
 
     Raises:
         DegenerateGeometryError: As :func:`rectifying_rotations`; or a camera looks 90° or more away from the rectified direction.
@@ -163,6 +167,9 @@ def rectify_at_camera_scale(left: Camera, right: Camera, T_right_left: SE3) -> R
     rotations = rectifying_rotations(T_right_left)
     axis = rotations.along
     focal_px = min(camera.parameters[1 - axis] for camera in (left, right))
+    R = rotations.R_rect_left, rotations.R_rect_right
+    is_wide = any(_sees_far_aside(camera, turn) for camera, turn in zip((left, right), R, strict=True))
+    kind: ProjectionKind = "cylindrical" if is_wide else "pinhole"
     ahead = EpipolarProjection("pinhole", np.ones(2), np.zeros(2), rotations.is_vertical)
     middle = [
         ahead.project(R @ camera.unproject((np.array(camera.size_wh) - 1) / 2)) * focal_px
@@ -174,9 +181,18 @@ def rectify_at_camera_scale(left: Camera, right: Camera, T_right_left: SE3) -> R
             "centre: the images cannot be rectified."
         )
     centre = (np.array(left.size_wh) - 1) / 2 - np.mean(middle, axis=0)
-    shown = EpipolarProjection("pinhole", np.full(2, focal_px), centre, rotations.is_vertical)
-    R = rotations.R_rect_left, rotations.R_rect_right
+    shown = EpipolarProjection(kind, np.full(2, focal_px), centre, rotations.is_vertical)
     return Rectification(*R, shown, shown, rotations.offset_m, left.size_wh)
+
+
+def _sees_far_aside(camera: Camera, R_rect_camera: Float[ndarray, "3 3"]) -> bool:
+    """Whether places at the image's border lie too far from the rectified direction for a pinhole's rows."""
+    steps = np.linspace(0, 1, BORDER_PLACES)
+    x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    border = np.stack([x, y], axis=-1)[(np.minimum(x, 1 - x) == 0) | (np.minimum(y, 1 - y) == 0)]
+    rays = camera.unproject(border * (np.array(camera.size_wh) - 1)) @ R_rect_camera.T
+    with np.errstate(invalid="ignore"):
+        return bool((rays[:, 2] < PINHOLE_COSINE * np.linalg.norm(rays, axis=-1)).any())
 
 
 def _covers(

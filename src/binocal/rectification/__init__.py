@@ -62,5 +62,5 @@ def rectify(
 
 
 def row_rectification(rig: StereoRig) -> Rectification:
-    """A pinhole at the cameras' own scale, for row errors of points: :func:`binocal.cameras.rectified_pair.rectify_at_camera_scale`."""
+    """The projection at the cameras' own scale, for row errors of points: :func:`binocal.cameras.rectified_pair.rectify_at_camera_scale`."""
     return rectify_at_camera_scale(rig.left, rig.right, rig.T_right_left)

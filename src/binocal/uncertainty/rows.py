@@ -8,6 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
+from binocal.cameras.epipolar_projection import EpipolarProjection
 from binocal.rectification import row_rectification
 from binocal.shapes import Float
 from binocal.uncertainty.covariance import Covariance
@@ -51,9 +52,8 @@ def row_gradients(
     rays, s = rays[known], s[known]
     d = pair_derivatives(rig, names, rays, s)
     in_right = rays @ rig.T_right_left.R.T + s[:, None] * rig.T_right_left.t
-    focal_px = float(rectified.left.focal_px[axis])
-    left = _row_by_pixel(rays, d.left_by_point, rectified.R_rect_left, axis, focal_px)
-    right = _row_by_pixel(in_right, d.right_by_point, rectified.R_rect_right, axis, focal_px)
+    left = _row_by_pixel(rays, d.left_by_point, rectified.R_rect_left, axis, rectified.left)
+    right = _row_by_pixel(in_right, d.right_by_point, rectified.R_rect_right, axis, rectified.right)
     G[known] = np.einsum("ni,nip->np", right, d.right) - np.einsum("ni,nip->np", left, d.left)
     return G
 
@@ -63,15 +63,20 @@ def _row_by_pixel(
     by_point: Float[ndarray, "n 2 3"],
     R: Float[ndarray, "3 3"],
     axis: int,
-    focal_px: float,
+    shown: EpipolarProjection,
 ) -> Float[ndarray, "n 2"]:
     """Gradient of the rectified row by the camera's own pixel.
 
-    Row = focal (R x)_axis / (R x)_z is a function of the ray, as the pixel is: the gradients by x of both lie in the plane across it.
+    Row = focal (R x)_axis / (R x)_z, or focal times its angle, is a function of the ray, as the pixel is: the gradients by x of both
+    lie in the plane across it.
     """
     turned = points @ R.T
-    z = np.where(turned[:, 2] > 1e-9, turned[:, 2], np.nan)
-    h = focal_px * (R[axis] / z[:, None] - turned[:, axis, None] / z[:, None] ** 2 * R[2])
+    a, z = turned[:, axis, None], turned[:, 2, None]
+    if shown.kind == "pinhole":
+        divisor = np.where(z > 1e-9, z**2, np.nan)
+    else:
+        divisor = a**2 + z**2
+    h = shown.focal_px[axis] * (z * R[axis] - a * R[2]) / divisor
     out = np.full((len(points), 2), np.nan)
     known = np.isfinite(h).all(axis=-1) & np.isfinite(by_point).all(axis=(1, 2))
     B = by_point[known]
