@@ -61,9 +61,9 @@ def _off_lens(markers: _Markers, is_stray: Bool[ndarray, "m"], size_wh: tuple[in
 def stray_note(n_stray: int, word: str) -> str:
     """What a careful reader should know of an image with strays; ``word`` is what the board's kind calls its markers."""
     return (
-        f"a {word} lies elsewhere than on the board and was left out"
+        f"a {word} lies elsewhere than its number does on the board (misread, or none of the board's) and was left out"
         if n_stray == 1
-        else f"{n_stray} {word}s lie elsewhere than on the board and were left out"
+        else f"{n_stray} {word}s lie elsewhere than their numbers do on the board (misread, or none of the board's) and were left out"
     )
 
 
