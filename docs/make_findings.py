@@ -139,6 +139,10 @@ EXPLANATIONS = {
     "boards-parallel": """
         All boards have the same direction, as far as the noise of the corners tells. Moving the board without tilting it
         says nothing about the focal length.""",
+    "no-perspective": """
+        The boards' images are shortened as those of boards that are tilted in different directions, but parallel lines of the
+        board stay parallel: the board is small beside its distance. The focal length follows from perspective alone, so that
+        more tilt would not help.""",
     "tilts-too-small": """
         The closed form, before any solve, knows the focal length to worse than half of itself. A start like that may end
         anywhere.""",

@@ -375,6 +375,12 @@ _KINDS = (
         _TILT_THREE, DegenerateGeometryError,
     ),
     FindingKind(
+        "no-perspective", _R, "The boards are tilted, but show no perspective",
+        "the boards seen by the {camera} camera are tilted by {tilt_deg:.0f} deg in the median, and not alike, yet show no perspective "
+        "beyond the noise, as through a telephoto lens: focal length and principal point are undetermined; {remedy}.",
+        "use a board that is larger or nearer, so that its near side looks larger than its far side", DegenerateGeometryError,
+    ),
+    FindingKind(
         "tilts-too-small", _R, "The boards' tilts leave a focal length open",
         "the {camera} camera's focal length is known to ± {sigma_percent:.0f} % only: the boards are tilted too little or all "
         "alike; {remedy}.",

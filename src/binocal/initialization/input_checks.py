@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
+from binocal.errors import DegenerateGeometryError
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry.homography import COINCIDENT, COLLINEAR, GOOD, MIN_POINTS, UNFIT, HomographyFit, fit_homographies
 from binocal.initialization.intrinsics import InitialCamera
@@ -21,6 +22,10 @@ _OFF_GRID = (
 )
 MOST = 0.6  # share of views that makes a fault the set's, not the view's
 _OUTSIDE_PX = 2.0
+_PLAIN_TILT_RAD = np.radians(15.0)  # that much tilt, in different directions, is plain in the boards' shortening
+_UNBENT_SHARE = (
+    3e-3  # robust sigma of a homography over the board's size: lenses of 60 degrees and more bend boards further
+)
 _MAX_SIGMA_LOG_FOCAL = 0.5  # six views tilted by 12° reach 0.37, twenty tilted by 1° start at 0.65
 
 
@@ -123,10 +128,49 @@ def check_degeneracy(camera: str, initial: InitialCamera, points: ndarray) -> No
     if n_distinct < MIN_VIEWS:
         plural = "" if n_distinct == 1 else "s"
         raise refusal(finding("too-few-poses", camera=camera, n_poses=n_distinct, plural=plural, n_views=len(usable)))
-    check_orientations(initial.vanishing.K, initial.columns, initial.covariance, camera)
-    if initial.vanishing.sigma_log_focal > _MAX_SIGMA_LOG_FOCAL:
-        percent = 100 * float(initial.vanishing.sigma_log_focal)
-        raise refusal(finding("tilts-too-small", camera=camera, sigma_percent=percent))
+    tilt_deg = _plain_tilts_deg(initial, points)
+    try:
+        check_orientations(initial.vanishing.K, initial.columns, initial.covariance, camera)
+    except DegenerateGeometryError:
+        if tilt_deg is None:
+            raise
+    else:
+        if not initial.vanishing.sigma_log_focal > _MAX_SIGMA_LOG_FOCAL:
+            return
+    if tilt_deg is not None:
+        raise refusal(finding("no-perspective", camera=camera, tilt_deg=tilt_deg))
+    percent = 100 * float(initial.vanishing.sigma_log_focal)
+    raise refusal(finding("tilts-too-small", camera=camera, sigma_percent=percent))
+
+
+def _plain_tilts_deg(initial: InitialCamera, points: ndarray) -> float | None:
+    """The boards' median tilt, where their shortening alone shows that they are tilted, and not all alike; else None.
+
+    A far board's image is shortened by the cosine of its tilt, across an axis of its own, whatever the focal length is. None
+    too where a lens may have shortened it: where it bends the board, or the boards are small beside the places where they are.
+    """
+    usable = initial.homographies.is_valid
+    H, xy = initial.homographies.H[usable], points[:, :2]
+    size = float(np.linalg.norm(np.ptp(xy, axis=0)))
+    size_px = initial.homographies.px_per_unit[usable] * size
+    h = H @ np.r_[xy.mean(axis=0), 1.0]
+    px = h[:, :2] / h[:, 2:]
+    places_px = np.linalg.norm(px - np.median(px, axis=0), axis=-1)
+    is_bent = np.median(initial.homographies.sigma_px[usable] / size_px) > _UNBENT_SHARE
+    if is_bent or np.median(size_px) < 2 * np.median(places_px):
+        return None
+    A = (H[:, :2, :2] - px[:, :, None] * H[:, 2:, :2]) / h[:, 2:, None]  # of the homography about the board's middle
+    S = A @ A.swapaxes(1, 2)
+    trace = S[:, 0, 0] + S[:, 1, 1]
+    q = np.stack([S[:, 0, 0] - S[:, 1, 1], 2 * S[:, 0, 1]], axis=-1)
+    length = np.linalg.norm(q, axis=-1)
+    q = (
+        2 * q / (trace + length)[:, None]
+    )  # its length is the tilt's sine squared, its angle twice that of the shortening
+    scatter = np.median(np.linalg.norm(q - np.median(q, axis=0), axis=-1))
+    if not scatter > np.sin(_PLAIN_TILT_RAD) ** 2:
+        return None
+    return float(np.degrees(np.arcsin(np.sqrt(np.median(np.minimum(np.linalg.norm(q, axis=-1), 1.0))))))
 
 
 def check_size(camera: str, initial: InitialCamera, px: ndarray) -> Finding | None:
