@@ -174,12 +174,19 @@ def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(fakes):
     assert evaluation.pixel_error.n_corners == 5 * 2 * 88 and evaluation.length_error.n_views == 5
 
 
-def test_a_suspect_view_is_named(fakes):
-    right = fakes.detections.right_px + 0.02 * np.random.default_rng(0).standard_normal(fakes.detections.right_px.shape)
+def test_a_suspect_view_is_left_out_by_name_and_several_are_named(fakes):
+    noisy = fakes.detections.right_px + 0.02 * np.random.default_rng(0).standard_normal(fakes.detections.right_px.shape)
+    right = noisy.copy()
     right[2] += 3.0
     fakes.detections = replace(fakes.detections, right_px=right)
-    notes = app.evaluate_images(fakes.rig, "l", "r", BOARD).notes
-    assert [note.split(":")[0] for note in notes if "may not belong together" in note] == ["view 2"]
+    evaluation = app.evaluate_images(fakes.rig, "l", "r", BOARD)
+    assert [(view.name, view.code) for view in evaluation.rejected[1:]] == [("2", "view-mismatched")]
+    assert evaluation.names == ("0", "1", "3", "4", "5") and evaluation.pixel_error.all_px < 0.03
+    right[4] += 3.0  # two of six: the rig may be what is wrong
+    fakes.detections = replace(fakes.detections, right_px=right)
+    evaluation = app.evaluate_images(fakes.rig, "l", "r", BOARD)
+    named = [note.split(":")[0] for note in evaluation.notes if "may not belong together" in note]
+    assert named == ["view 2", "view 4"] and len(evaluation.names) == 6 and evaluation.pixel_error.all_px > 0.5
 
 
 def test_units_and_sizes_must_agree(fakes):

@@ -12,7 +12,7 @@ from binocal.boards import Board
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
 from binocal.evidence import Detections
-from binocal.findings import Finding, refusal
+from binocal.findings import Finding, finding, refusal
 from binocal.formats import rig_json
 from binocal.metrics import image, pose
 from binocal.metrics.held_out import Criterion, criteria_on_exact_views, exact_views, is_inside
@@ -28,7 +28,8 @@ UNLIKE_NOISE = 1.5  # one camera's RMS over the other's: cameras of one kind sca
 MOST_FOCAL_SIGMA_SHARE = (
     0.2  # rigs are drawn about the truth with the bound's covariance: the next 5 sigma must be cameras
 )
-SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
+SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is left out, by name
+MOST_SUSPECTS = 0.2  # share of the views; of more, the rig may be what is wrong: they stay, and are named
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +113,7 @@ def evaluate_images(
 ) -> ImageEvaluation:
     """Pixel error, rectified row error and measured lengths of a rig on images of a board.
 
+    Few views (a fifth) that the rig misses by far more than the others are left out by name, as a calibration leaves them out.
     With the ``calibration`` that the rig is of, also whether the images agree with it as far as its standard deviations allow.
 
     Raises:
@@ -157,12 +159,19 @@ def _evaluate_detections(
     notes += ordered.notes
     pixel_error = image.pixel_error(rig, detections, ordered.T_left_board)
     usual_px = float(np.nanmedian(pixel_error.view_rms_px))
-    for name, rms_px in zip(detections.names, pixel_error.view_rms_px, strict=True):
-        if rms_px > SUSPECT_VIEW_FACTOR * usual_px:
-            notes.append(
-                f"view {name}: {rms_px:.3g} px against {usual_px:.3g} px in the median view: "
-                "its images may not belong together, or its corners are wrong."
-            )
+    suspects = np.flatnonzero(pixel_error.view_rms_px > SUSPECT_VIEW_FACTOR * usual_px)
+    rejected, T_left_board = found.rejected, ordered.T_left_board
+    if 0 < len(suspects) <= MOST_SUSPECTS * detections.n_views:
+        rejected += tuple(_mispaired(detections.names[i], pixel_error.view_rms_px[i], usual_px) for i in suspects)
+        kept = np.setdiff1d(np.arange(detections.n_views), suspects)
+        detections, T_left_board = detections.select(kept), T_left_board[kept]
+        pixel_error = image.pixel_error(rig, detections, T_left_board)
+    elif len(suspects):
+        notes += [
+            f"view {detections.names[i]}: {pixel_error.view_rms_px[i]:.3g} px against {usual_px:.3g} px in the median view: "
+            "its images may not belong together, or its corners are wrong."
+            for i in suspects
+        ]
     try:
         row_error = image.rectified_row_error(rig, detections)
     except CalibrationError as error:
@@ -174,7 +183,7 @@ def _evaluate_detections(
         from binocal.calibrators.agreement import measure_agreement
 
         try:
-            agreement = measure_agreement(calibration, detections, ordered.T_left_board)
+            agreement = measure_agreement(calibration, detections, T_left_board)
         except (DataError, CalibrationError) as error:
             notes.append(f"not compared with the rig's standard deviations: {error}")
     return ImageEvaluation(
@@ -182,12 +191,17 @@ def _evaluate_detections(
         row_error,
         lengths,
         detections.names,
-        found.rejected,
+        rejected,
         found.ignored,
         tuple(notes),
         detections,
         agreement,
     )
+
+
+def _mispaired(name: str, miss_px: float, usual_px: float) -> RejectedView:
+    why = finding("view-mismatched", miss_px=miss_px, typical_px=usual_px)
+    return RejectedView(name, why.text, why.code)
 
 
 def _bound(
