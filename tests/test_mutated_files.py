@@ -1,6 +1,6 @@
 """Whatever is wrong with a file: one line that names it, the right exit code, no hang, no great memory.
 
-The fast tests take a few damaged copies of each kind of file that is read, the slow ones 60 (200 of each: BINOCAL_MUTATIONS=200).
+The fast tests take a few damaged copies of each kind of file that is read, the slow ones 200.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from binocal.simulation import sample_board_poses
 from mutation import mutations
 from rigs import make_calibration, make_detections, make_poses, make_rig
 
-N_FAST, N_SLOW = 6, int(os.environ.get("BINOCAL_MUTATIONS", "60"))
+N_FAST, N_SLOW = 6, 200
 MOST_S, MOST_BYTES = 2.0, 500 << 20
 BOARD = "chessboard:9x6:30mm"
 NO_IMAGES = ["calibrate", "--left", "none/l*.png", "--right", "none/r*.png", "--board", BOARD, "--output", "out.json"]
@@ -205,7 +205,7 @@ def test_damaged_files_are_one_line(kind, folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_many_damaged_files_are_one_line(kind, folder):
+def test_200_damaged_files_are_one_line(kind, folder):
     check_many(kind, N_SLOW, 2, folder)
 
 
