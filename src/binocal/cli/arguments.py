@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -73,3 +74,13 @@ def check_distinct(outputs: dict[str, list[Path]]) -> None:
             other = option_of.setdefault(os.path.normcase(os.path.realpath(path)), option)
             if other != option:
                 raise typer.BadParameter(f"{option} and {other} name the same file.")
+
+
+def check_calibrator(name: str, known: Collection[str], load: Callable[[str], object]) -> None:
+    """A calibrator's name is known, or a file of weights that can be loaded: read before any image is."""
+    if name in known:
+        return
+    try:
+        load(name)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import check_distinct, parse_board, parse_needs
+from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_needs
 from binocal.cli.exits import BELOW_QUALITY, FINE
 from binocal.cli.options import BOARD_HELP, Force, Json, Needs, Seed, Threads, app, finite, present
 from binocal.errors import CalibrationError, DataError, FormatError
@@ -179,6 +179,7 @@ def calibrate(
 ) -> int:
     """Calibrate a stereo rig from images of a board, or from corners in a file."""
     from binocal import app as verbs
+    from binocal.calibrators import CALIBRATORS, load_calibrator
     from binocal.calibrators.registry import evidence_of, unsuited
     from binocal.cli import documents, tables
     from binocal.cli.checks import checks_document, show_checks
@@ -189,7 +190,7 @@ def calibrate(
 
     parsed = _parse_source((left, right), board, corners, zoom)
     needs = parse_needs(require, is_metric=None if parsed is None else parsed.is_metric)
-    _check_calibrator(calibrator)
+    check_calibrator(calibrator, CALIBRATORS, load_calibrator)
     kind = evidence_of(calibrator)
     if kind == "rectangles" and corners is None:
         raise typer.BadParameter(f"calibrator {calibrator!r} works from rectangles in a file: give --corners FILE.")
@@ -311,19 +312,6 @@ def _read_prior(path: Path | None, hold: str | None, model: str) -> RigPrior | N
         if "covariance" in str(error):  # what the file says, not what was asked for
             raise FormatError(path, f"is no prior: {error}") from None
         raise typer.BadParameter(f"--prior, --hold: {error}.") from None
-
-
-def _check_calibrator(name: str) -> None:
-    from binocal.calibrators import CALIBRATORS
-
-    if name in CALIBRATORS:
-        return
-    from binocal.calibrators import load_calibrator
-
-    try:
-        load_calibrator(name)  # weights are read before any image is
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
 
 
 def _calibrate_zoom(

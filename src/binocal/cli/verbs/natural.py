@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import parse_length
+from binocal.cli.arguments import check_calibrator, parse_length
 from binocal.cli.exits import BELOW_QUALITY, FINE
 from binocal.cli.options import Force, Json, Seed, Threads, app, finite, present
 
@@ -98,13 +98,14 @@ def recalibrate(
 ) -> int:
     """Find rotation and direction of translation anew from images without a board, intrinsics held."""
     from binocal.app import natural
+    from binocal.calibrators.natural_solves import NATURAL_CALIBRATORS, solves_of
     from binocal.cli import natural as texts
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
     from binocal.output import check_output
 
     length_m = parse_length(baseline)
-    _check_natural_calibrator(calibrator)
+    check_calibrator(calibrator, NATURAL_CALIBRATORS, solves_of)
     check_output(output, force=force)
     given, source = _natural_source(left, right, dataset, rig)
     if reference and given is None:
@@ -249,14 +250,3 @@ def _natural_source(left: str | None, right: str | None, dataset: str | None, ri
     if given is None:
         raise typer.BadParameter("images alone do not say what cameras took them: give --rig.")
     return given, natural.source_of_images(str(left), str(right), given)
-
-
-def _check_natural_calibrator(name: str) -> None:
-    from binocal.calibrators.natural_solves import NATURAL_CALIBRATORS, solves_of
-
-    if name in NATURAL_CALIBRATORS:
-        return
-    try:
-        solves_of(name)  # weights are read before any image is
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
