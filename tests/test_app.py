@@ -189,6 +189,18 @@ def test_a_suspect_view_is_left_out_by_name_and_several_are_named(fakes):
     assert named == ["view 2", "view 4"] and len(evaluation.names) == 6 and evaluation.pixel_error.all_px > 0.5
 
 
+def test_a_view_of_more_noise_is_named_and_stays(fakes):
+    rng, sigma_px = np.random.default_rng(0), np.full((6, 1, 1), 0.02)
+    sigma_px[2] = 0.6  # blurred: each camera alone fits no better than both
+    left, right = (
+        px + sigma_px * rng.standard_normal(px.shape) for px in (fakes.detections.left_px, fakes.detections.right_px)
+    )
+    fakes.detections = replace(fakes.detections, left_px=left, right_px=right)
+    evaluation = app.evaluate_images(fakes.rig, "l", "r", BOARD)
+    assert len(evaluation.names) == 6 and evaluation.rejected == fakes.rejected
+    assert any(note.startswith("view 2:") for note in evaluation.notes)
+
+
 def test_units_and_sizes_must_agree(fakes):
     with pytest.raises(DataError, match="give the board's length a unit"):
         app.evaluate_images(fakes.rig, "l", "r", parse_board("chessboard:11x8"))

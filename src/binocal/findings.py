@@ -694,13 +694,13 @@ _KINDS = (
     ),
     FindingKind(
         "view-mirrored", _N, "One image of a pair is mirrored",
-        "the {camera} image is mirrored: left and right miss each other by {miss_px:.2g} px as given, by {typical_px:.1g} px in other views; "
+        "the {camera} image is mirrored: left and right miss each other by {miss_px:.3g} px as given, by {typical_px:.2g} px in other views; "
         "{remedy}", "give it as the camera took it",
     ),
     FindingKind(
         "view-mismatched", _N, "A pair that does not show one board pose",
-        "left and right do not show the same board pose (they miss each other by {miss_px:.0f} px, other views by "
-        "{typical_px:.1f} px): the pair is mismatched or was not simultaneous", "",
+        "left and right do not show the same board pose (they miss each other by {miss_px:.3g} px, other views by "
+        "{typical_px:.2g} px): the pair is mismatched or was not simultaneous", "",
     ),
     FindingKind(
         "view-contradicts", _N, "A view most of whose corners contradict the others",

@@ -14,6 +14,7 @@ from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.findings import findings_of
 from binocal.metrics.image_mixups import find_mixup
+from binocal.metrics.order import order_corners
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
 BOARD = parse_board("chessboard:9x6:30mm")
@@ -41,6 +42,10 @@ MIXED_UP = {
         SEEN, left_px=mirrored(SEEN.left_px), right_px=mirrored(SEEN.right_px)
     ),
     "the right images are upside down": replace(SEEN, right_px=LAST - SEEN.right_px),
+    # nearly as well explained by exchanged cameras: a rig turned by 180 degrees about its optical axes
+    "the left and right images are upside down": replace(
+        SEEN, left_px=LAST - SEEN.left_px, right_px=LAST - SEEN.right_px
+    ),
     "are off by one image (left 0 belongs to right 1)": replace(SEEN, right_px=np.roll(SEEN.right_px, 1, axis=0)),
 }
 
@@ -59,6 +64,7 @@ def test_images_that_fit_otherwise_are_refused_by_what_was_done(how, monkeypatch
 def test_right_images_and_another_rig_are_no_mixup():
     turned = replace(RIG, left=replace(RIG.left, parameters=RIG.left.parameters * np.r_[1.1, 1.1, np.ones(7)]))
     for rig in (RIG, turned):
-        assert find_mixup(rig, SEEN) is None
+        assert find_mixup(rig, SEEN, order_corners(rig, SEEN)) is None
     one = SEEN.select(np.array([0]))
-    assert find_mixup(RIG, replace(one, left_px=one.right_px, right_px=one.left_px)) is None  # may be by chance
+    one = replace(one, left_px=one.right_px, right_px=one.left_px)
+    assert find_mixup(RIG, one, order_corners(RIG, one)) is None  # may be by chance

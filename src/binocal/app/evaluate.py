@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy import ndarray
 
 from binocal.app.corners import FoundCorners, find_corners
 from binocal.boards import Board
@@ -19,6 +20,7 @@ from binocal.metrics.held_out import Criterion, criteria_on_exact_views, exact_v
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.requirements.agreement import Agreement
 from binocal.result import Covariance, RejectedView, StereoCalibration
+from binocal.shapes import Float
 
 if TYPE_CHECKING:
     from binocal.solvers.whitening import CornerWeights
@@ -28,8 +30,8 @@ UNLIKE_NOISE = 1.5  # one camera's RMS over the other's: cameras of one kind sca
 MOST_FOCAL_SIGMA_SHARE = (
     0.2  # rigs are drawn about the truth with the bound's covariance: the next 5 sigma must be cameras
 )
-SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is left out, by name
-MOST_SUSPECTS = 0.2  # share of the views; of more, the rig may be what is wrong: they stay, and are named
+SUSPECT_VIEW_FACTOR = 5.0  # a held-out view whose RMS is that many times the median is named
+MOST_SUSPECTS = 0.2  # share of the views that may be left out; of more, the rig may be what is wrong: they stay
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +115,8 @@ def evaluate_images(
 ) -> ImageEvaluation:
     """Pixel error, rectified row error and measured lengths of a rig on images of a board.
 
-    Few views (a fifth) that the rig misses by far more than the others are left out by name, as a calibration leaves them out.
+    Few views (a fifth) whose two images are not of one moment, as each camera alone fits them, are left out by name, as a
+    calibration leaves them out.
     With the ``calibration`` that the rig is of, also whether the images agree with it as far as its standard deviations allow.
 
     Raises:
@@ -150,28 +153,36 @@ def _evaluate_detections(
     calibration: StereoCalibration | None,
 ) -> ImageEvaluation:
     from binocal.metrics.image_mixups import find_mixup
-    from binocal.metrics.order import order_corners
+    from binocal.metrics.order import SUSPECT_PX, order_corners
 
-    if mixup := find_mixup(rig, detections):
-        raise refusal(mixup)
     ordered = order_corners(rig, detections)
+    if mixup := find_mixup(rig, detections, ordered):
+        raise refusal(mixup)
     detections = ordered.detections
     notes += ordered.notes
     pixel_error = image.pixel_error(rig, detections, ordered.T_left_board)
     usual_px = float(np.nanmedian(pixel_error.view_rms_px))
     suspects = np.flatnonzero(pixel_error.view_rms_px > SUSPECT_VIEW_FACTOR * usual_px)
+    alone_px = _alone_rms_px(rig, detections.select(suspects)) if len(suspects) else np.empty(0)
+    miss_px = pixel_error.view_rms_px[suspects]
+    of_two_moments = suspects[(miss_px > SUSPECT_PX) & (miss_px > SUSPECT_VIEW_FACTOR * alone_px)]
     rejected, T_left_board = found.rejected, ordered.T_left_board
-    if 0 < len(suspects) <= MOST_SUSPECTS * detections.n_views:
-        rejected += tuple(_mispaired(detections.names[i], pixel_error.view_rms_px[i], usual_px) for i in suspects)
-        kept = np.setdiff1d(np.arange(detections.n_views), suspects)
+    if len(of_two_moments) > MOST_SUSPECTS * detections.n_views:
+        of_two_moments = of_two_moments[:0]
+    for i in suspects:
+        name, rms_px = detections.names[i], float(pixel_error.view_rms_px[i])
+        if i in of_two_moments:
+            why = finding("view-mismatched", miss_px=rms_px, typical_px=usual_px)
+            rejected += (RejectedView(name, why.text, why.code),)
+        else:
+            notes.append(
+                f"view {name}: {rms_px:.3g} px against {usual_px:.3g} px in the median view: "
+                "its images may not belong together, or its corners are wrong."
+            )
+    if len(of_two_moments):
+        kept = np.setdiff1d(np.arange(detections.n_views), of_two_moments)
         detections, T_left_board = detections.select(kept), T_left_board[kept]
         pixel_error = image.pixel_error(rig, detections, T_left_board)
-    elif len(suspects):
-        notes += [
-            f"view {detections.names[i]}: {pixel_error.view_rms_px[i]:.3g} px against {usual_px:.3g} px in the median view: "
-            "its images may not belong together, or its corners are wrong."
-            for i in suspects
-        ]
     try:
         row_error = image.rectified_row_error(rig, detections)
     except CalibrationError as error:
@@ -199,9 +210,16 @@ def _evaluate_detections(
     )
 
 
-def _mispaired(name: str, miss_px: float, usual_px: float) -> RejectedView:
-    why = finding("view-mismatched", miss_px=miss_px, typical_px=usual_px)
-    return RejectedView(name, why.text, why.code)
+def _alone_rms_px(rig: StereoRig, detections: Detections) -> Float[ndarray, "views"]:
+    """RMS that each view's board leaves where each camera has a pose of its own: that of the worse camera."""
+    from binocal.solvers.poses import estimate_board_poses
+
+    unseen = np.full_like(detections.left_px, np.nan)
+    left = estimate_board_poses(rig, replace(detections, right_px=unseen)).left_r2_px2
+    right = estimate_board_poses(rig, replace(detections, left_px=unseen)).right_r2_px2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rms = [np.sqrt(np.nansum(r2, axis=1) / np.isfinite(r2).sum(axis=1)) for r2 in (left, right)]
+    return np.fmax(*rms)
 
 
 def _bound(

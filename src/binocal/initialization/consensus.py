@@ -15,7 +15,7 @@ from binocal.initialization.input_checks import MIN_VIEWS
 from binocal.initialization.intrinsics import InitialCamera
 from binocal.initialization.poses import BoardPoses, estimate_poses, select_poses
 from binocal.initialization.relative_pose import Consensus, estimate_relative_pose, transfer_px
-from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, no_symmetry
+from binocal.initialization.symmetries import BoardSymmetries, board_symmetries, mirrored_corners, no_symmetry
 from binocal.shapes import Float
 
 _MAX_SHIFT = 3
@@ -121,18 +121,18 @@ def mirrored_back(
 
     Which axis was flipped does not matter: the other is this one and a turn of the camera. None for boards that tell their mirror image.
     """
-    mirrors = np.flatnonzero(symmetries.motions.R[:, 2, 2] < 0)
-    if not len(mirrors):
+    order = symmetries.mirror_order
+    if order is None:
         return None
-    order = symmetries.order[mirrors[0]]
     width_px = camera.size_wh[0]
     values = dict(zip(camera_model(camera.model).parameter_names, camera.parameters.tolist(), strict=True))
     values["cx"] = width_px - 1 - values["cx"]
     for odd in ("skew", "p2"):  # change their sign with x
         values[odd] = -values[odd] if odd in values else 0.0
     parameters = np.array([values[name] for name in camera_model(camera.model).parameter_names])
-    flipped = px * [-1.0, 1.0] + [width_px - 1.0, 0.0]
-    return estimate_poses(camera.model, parameters, points, flipped[:, order], camera.weights[:, order])
+    return estimate_poses(
+        camera.model, parameters, points, mirrored_corners(px, width_px, order), camera.weights[:, order]
+    )
 
 
 def explain_view(

@@ -39,6 +39,19 @@ class BoardSymmetries:
         identity = np.arange(self.order.shape[1])
         return next(i for i in range(len(self.names)) if np.array_equal(self.order[k][self.order[i]], identity))
 
+    @property
+    def mirror_order(self) -> Int[ndarray, "n"] | None:
+        """The order in which a mirrored image of the board is numbered; None for boards that tell their mirror image."""
+        mirrors = np.flatnonzero(self.motions.R[:, 2, 2] < 0)
+        return self.order[mirrors[0]] if len(mirrors) else None
+
+
+def mirrored_corners(
+    px: Float[ndarray, "views n 2"], width_px: int, order: Int[ndarray, "n"]
+) -> Float[ndarray, "views n 2"]:
+    """The corners of the flipped images, as a finder numbers them there; ``order`` is the board's ``mirror_order``."""
+    return (px * [-1.0, 1.0] + [width_px - 1.0, 0.0])[:, order]
+
 
 def no_symmetry(n_points: int) -> BoardSymmetries:
     """The identity alone."""

@@ -12,41 +12,36 @@ from numpy import ndarray
 from binocal.cameras import StereoRig
 from binocal.evidence import Detections
 from binocal.findings import Finding, finding
-from binocal.initialization.symmetries import BoardSymmetries, board_symmetries
-from binocal.metrics.order import SUSPECT_PX, order_corners, typical_px
+from binocal.initialization.symmetries import board_symmetries, mirrored_corners
+from binocal.metrics.order import SUSPECT_PX, OrderedViews, order_corners
 from binocal.shapes import Float
-from binocal.solvers.poses import estimate_board_poses
 
 CLEAR_FACTOR = 5.0  # right images fit better by 20 and more
 LEAST_VIEWS = 2  # a shift of the lists leaves fewer; one view alone may agree by chance
 MOST_SHIFT = 3  # images by which lists are off; more are another recording
 
 
-def find_mixup(rig: StereoRig, detections: Detections) -> Finding | None:
-    """How the images would fit the rig, where as given they do not and one change to all of them mends it; else None.
+def find_mixup(rig: StereoRig, detections: Detections, given: OrderedViews) -> Finding | None:
+    """How the images would fit the rig, where as ``given`` they do not and one change to all of them mends it; else None.
 
     The changes: left and right exchanged, one side or both mirrored or upside down, one list shifted by up to three images.
     """
-    given_px = _misfit_px(rig, detections)
+    given_px = _misfit_px(given)
     if not given_px > SUSPECT_PX:
         return None
     # covariances would have to turn with their corners; medians do not need them
     bare = replace(detections, left_covariance_px2=None, right_covariance_px2=None)
     bare = replace(bare, left_cross_covariance_px2=None, right_cross_covariance_px2=None)
-    fits = [(_misfit_px(rig, changed), how, cure) for changed, how, cure in _changes(bare)]
+    fits = [(_misfit_px(order_corners(rig, changed)), how, cure) for changed, how, cure in _changes(bare)]
     best_px, how, cure = min(fits, key=lambda fit: fit[0], default=(np.inf, "", ""))
     if not best_px < given_px / CLEAR_FACTOR:
         return None
     return finding("images-mixed-up", how=how, given_px=given_px, mended_px=best_px, cure=cure)
 
 
-def _misfit_px(rig: StereoRig, detections: Detections) -> float:
+def _misfit_px(ordered: OrderedViews) -> float:
     """Median over the views of their typical residual; infinite where too few views have one."""
-    if detections.n_views < LEAST_VIEWS:
-        return float("inf")
-    ordered = order_corners(rig, detections)
-    residual_px = typical_px(estimate_board_poses(rig, ordered.detections))
-    known = residual_px[np.isfinite(residual_px)]
+    known = ordered.residual_px[np.isfinite(ordered.residual_px)]
     return float(np.median(known)) if len(known) >= LEAST_VIEWS else float("inf")
 
 
@@ -55,18 +50,13 @@ def _changes(detections: Detections) -> Iterator[tuple[Detections, str, str]]:
     if detections.left_size_wh == detections.right_size_wh:
         exchanged = replace(detections, left_px=detections.right_px, right_px=detections.left_px)
         yield exchanged, "left and right are exchanged", "exchange --left and --right"
-    mirror = _mirror_of(board_symmetries(detections.object_points_m))
+    mirror = board_symmetries(detections.object_points_m).mirror_order
     for which, sides in (("left", ("left",)), ("right", ("right",)), ("left and right", ("left", "right"))):
         if mirror is not None:
             changed = _with_sides(detections, sides, functools.partial(_mirrored, order=mirror))
             yield changed, f"the {which} images are mirrored", "mirror them back: a camera sees no board from behind"
-        if len(sides) == 1:  # both upside down are cameras that changed places; exchanged is said first
-            changed = _with_sides(detections, sides, _upside_down)
-            yield (
-                changed,
-                f"the {which} images are upside down",
-                "turn them by 180 degrees, as when the rig was calibrated",
-            )
+        changed = _with_sides(detections, sides, _upside_down)
+        yield changed, f"the {which} images are upside down", "turn them by 180 degrees, as when the rig was calibrated"
     n = detections.n_views
     for shift in sorted((s for s in range(-MOST_SHIFT, MOST_SHIFT + 1) if s), key=abs):
         left, right = np.arange(max(0, -shift), min(n, n - shift)), np.arange(max(0, shift), min(n, n + shift))
@@ -90,14 +80,8 @@ def _with_sides(
     return replace(detections, **changed)
 
 
-def _mirror_of(symmetries: BoardSymmetries) -> ndarray | None:
-    """The order in which a mirrored image of the board is numbered; None where it can be told from the board itself."""
-    mirrors = np.flatnonzero(symmetries.motions.R[:, 2, 2] < 0)
-    return symmetries.order[mirrors[0]] if len(mirrors) else None
-
-
 def _mirrored(px: Float[ndarray, "views n 2"], size_wh: tuple[int, int], order: ndarray) -> Float[ndarray, "views n 2"]:
-    return (px * [-1.0, 1.0] + [size_wh[0] - 1.0, 0.0])[:, order]
+    return mirrored_corners(px, size_wh[0], order)
 
 
 def _upside_down(px: Float[ndarray, "views n 2"], size_wh: tuple[int, int]) -> Float[ndarray, "views n 2"]:

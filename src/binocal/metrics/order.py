@@ -25,13 +25,14 @@ CLEAR_FACTOR = 5.0  # another order is believed if it fits that many times bette
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrderedViews:
-    """Detections whose corner orders agree, a board pose per view, and what was done.
+    """Detections whose corner orders agree, a board pose per view, its typical (median) residual, and what was done.
 
-    The corners of a view without a pose are NaN.
+    The corners of a view without a pose are NaN, its residual too.
     """
 
     detections: Detections
     T_left_board: SE3
+    residual_px: Float[ndarray, "views"]
     notes: tuple[str, ...]
 
 
@@ -42,7 +43,7 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
     stranger than others; a note says so.
     """
     best = estimate_board_poses(rig, detections)
-    residual_px = typical_px(best)
+    residual_px = _typical_px(best)
     symmetries = board_symmetries(detections.object_points_m)
     orders, notes = {}, {}
     R, t = best.T_left_board.R.copy(), best.T_left_board.t.copy()
@@ -55,9 +56,9 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
         views = detections.select(suspects)
         moved = views.reorder("right", {view: symmetries.order[k] for view in range(views.n_views)})
         poses = estimate_board_poses(rig, moved)
-        for i in np.flatnonzero(typical_px(poses) < limit_px[suspects]):
+        for i in np.flatnonzero(_typical_px(poses) < limit_px[suspects]):
             view = suspects[i]
-            limit_px[view] = typical_px(poses)[i]
+            limit_px[view] = residual_px[view] = _typical_px(poses)[i]
             orders[int(view)] = symmetries.order[k]
             R[view], t[view], is_found[view] = poses.T_left_board.R[i], poses.T_left_board.t[i], poses.is_found[i]
             notes[view] = (
@@ -71,10 +72,10 @@ def order_corners(rig: StereoRig, detections: Detections) -> OrderedViews:
         left_px=np.where(has_pose, ordered.left_px, np.nan),
         right_px=np.where(has_pose, ordered.right_px, np.nan),
     )
-    return OrderedViews(ordered, SE3(R, t), tuple(notes[view] for view in sorted(notes)))
+    return OrderedViews(ordered, SE3(R, t), residual_px, tuple(notes[view] for view in sorted(notes)))
 
 
-def typical_px(poses: PosedViews) -> Float[ndarray, "views"]:
+def _typical_px(poses: PosedViews) -> Float[ndarray, "views"]:
     """Median residual length of each view, both cameras; NaN where nothing was seen."""
     r2 = np.concatenate([poses.left_r2_px2, poses.right_r2_px2], axis=1)
     typical = np.full(len(r2), np.nan)
