@@ -45,6 +45,12 @@ def test_names_that_rigs_give(make, names, left, right, expected):
     assert [name for name, _, _ in found] == expected and not ignored
 
 
+def test_one_side_may_be_relative(make, monkeypatch):
+    folder = make("cam0/0.png", "cam0/1.png", "cam1/0.png", "cam1/1.png")
+    monkeypatch.chdir(folder)
+    assert [pair.name for pair in list_pairs(str(folder / "cam0"), "cam1").pairs] == ["0", "1"]
+
+
 def test_order_is_natural_leading_zeros_are_equal_gaps_and_orphans_are_told(make):
     folder = make(
         "left1.png", "left2.png", "left10.png", "left12.png", "right01.png", "right02.png", "right10.png", "right11.png"

@@ -53,10 +53,10 @@ def find_naming(lefts: Sequence[Path], rights: Sequence[Path]) -> Naming | None:
     substitution of tokens (left -> right) makes the rest comparable; a number counts as the side's mark only where it
     is constant over the side.
     """
-    folder = Path(os.path.commonpath([*(path.parent for path in lefts), *(path.parent for path in rights)]))
+    folder = _common_folder([*lefts, *rights])
     views: list[Callable[[Path], str]] = [
         lambda path: path.stem,
-        lambda path: str(path.relative_to(folder).with_suffix("")),
+        lambda path: str(path.absolute().relative_to(folder or path.absolute().anchor).with_suffix("")),
     ]
     best: tuple[tuple[int, int, int], Naming] | None = None
     for view in views:
@@ -217,6 +217,15 @@ def _name_by_varying_numbers(lefts: Sequence[Path], rights: Sequence[Path]) -> l
                 Naming(*_without_leading_zeros(left, right), {path: "_".join(key) for path, key in left.items()})
             )
     return namings
+
+
+def _common_folder(paths: Sequence[Path]) -> Path | None:
+    """The folder above all of them, some of which may be relative; None where there is none, as on two Windows drives."""
+    parents = [path.absolute().parent for path in paths]
+    try:
+        return Path(os.path.commonpath(parents))
+    except ValueError:
+        return None
 
 
 def _count_pairs(naming: Naming) -> int:
