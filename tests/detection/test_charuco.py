@@ -117,7 +117,9 @@ def test_corners_behind_a_covered_middle_are_found(shoot):
     assert np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.2
 
 
-@pytest.mark.parametrize("spec", ["charuco:8x6:30mm:22mm:DICT_ARUCO_MIP_36h12", "charuco:8x6:30mm:22mm:DICT_APRILTAG_16h5"])
+@pytest.mark.parametrize(
+    "spec", ["charuco:8x6:30mm:22mm:DICT_ARUCO_MIP_36h12", "charuco:8x6:30mm:22mm:DICT_APRILTAG_16h5"]
+)
 def test_other_dictionaries(shoot, spec):
     shot = shoot(spec, size_wh=(800, 600), distance=1.9)
     found = detect(shot.image, shot.board)

@@ -29,6 +29,9 @@ Layout = Literal["", "current", "legacy"]
 MIN_CORNERS = 4  # of one image: fewer carry no pose; the solver decides on more
 MAX_MISFIT = 0.5  # distance of markers from a smooth plane, sides; a wrong board is off by a whole square
 LEAST_MORE_READ = 2  # faces that must bear their markers in one layout and not in the other, for it to be believed
+# Share of corners that no saddle fits, from which on none of these is taken: where the blur reaches the markers (over 1.2 margins)
+# cornerSubPix is off by up to 8 px.
+MOST_PLAIN = 0.5
 LAYOUT_UNKNOWN = "the board's layout (current or legacy) cannot be seen in this image; current taken"
 MIRRORED = "the image shows the board's mirror image; flip the images back"
 MIN_LAYOUT_RATIO = 3.0  # by which one layout must fit better than the other to be believed
@@ -187,6 +190,7 @@ def _measure(
         height,
         margin * height,
         per_reach=0.9 * margin,
+        most_plain=1.0 if sighting is None else MOST_PLAIN,
     )
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
     if sighting is not None:

@@ -50,6 +50,11 @@ class CodeTemplates:
         return np.where(length > 1e-3, rest / np.maximum(length, 1e-3), 0).astype(np.float32)
 
 
+def face_cells(kind: CodeKind) -> float:
+    """A face's side in cells of its marker's code."""
+    return (get_dictionary(kind.dictionary).markerSize + 2 * kind.border_bits) / (1 - 2 * kind.inset)
+
+
 @lru_cache(maxsize=16)
 def cell_places(kind: CodeKind) -> Float[ndarray, "cells 4 2"]:
     """Where the cells of :func:`code_templates` are read, in a face's unit square."""

@@ -13,7 +13,14 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.detection.finding.groups import MAX_TURN_RAD
-from binocal.detection.finding.marker_codes import BLURS_CELLS, CodeKind, CodeTemplates, cell_places, code_templates
+from binocal.detection.finding.marker_codes import (
+    BLURS_CELLS,
+    CodeKind,
+    CodeTemplates,
+    cell_places,
+    code_templates,
+    face_cells,
+)
 from binocal.detection.finding.marker_grid import MarkerGrid
 from binocal.detection.finding.search import LevelSetting, scaled_saddles
 from binocal.detection.finding.xcorners import SaddleImage, find_saddles
@@ -45,7 +52,7 @@ LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to n
 MOST_COMPARED = 64  # faces by which lens and blur are chosen
 ENOUGH_SHARE = 0.9  # of the corners that should be seen
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
-LEAST_SIDE_PX = 5.0  # of a face with a marker
+LEAST_CELL_PX = 1.0  # of a marker's code: below it chance reads as well
 INSIDE_PX = 6.0
 PROBE = 0.2  # of a face's side, about a corner, to see how large it is there
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
@@ -163,10 +170,11 @@ def search_markers(
     """The board in an image (8 bits), printed in any of these ways with markers of any of these kinds."""
     n_ids = max(len(grid.faces) for grid in grids)
     most = max(1200, 5 * max(grid.points.size for grid in grids))
+    least_side_px = min(LEAST_CELL_PX * face_cells(kind) for kind in kinds)
     sightings: list[MarkerSighting] = []
     n_markers, is_mirrored, n_before = 0, False, 0
     for saddles, scale in scaled_saddles(image, marker_level_settings):
-        peaks, faces = _find_faces(saddles, scale, most)
+        peaks, faces = _find_faces(saddles, scale, most, least_side_px)
         if not sightings:
             readings, reading, mirrored = _read_first(image, faces, grids, kinds, first_id, n_ids)
             is_mirrored |= mirrored
@@ -195,7 +203,9 @@ def search_markers(
     return MarkerSearch(sightings, is_mirrored and not sightings, n_markers)
 
 
-def _find_faces(saddles: SaddleImage, scale: float, most: int) -> tuple[Float[ndarray, "k 2"], _Faces]:
+def _find_faces(
+    saddles: SaddleImage, scale: float, most: int, least_side_px: float
+) -> tuple[Float[ndarray, "k 2"], _Faces]:
     """Saddles of a level, in its pixels, and the faces between its linked X-corners, in the image's."""
     corners, peaks = find_saddles(saddles, most=most)
     links = images.link_corners(
@@ -203,7 +213,7 @@ def _find_faces(saddles: SaddleImage, scale: float, most: int) -> tuple[Float[nd
     )
     members, is_bright = find_faces(*links)
     quads = _from_level(corners.points_px, scale)[members]
-    is_large = np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).min(axis=1) >= LEAST_SIDE_PX
+    is_large = np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).min(axis=1) >= least_side_px
     return peaks, _Faces(quads[is_large], is_bright[is_large])
 
 
