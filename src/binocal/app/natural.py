@@ -215,6 +215,13 @@ def with_reference(rig: StereoCalibration, run: NaturalRun) -> StereoCalibration
     return replace(rig, extra={**rig.extra, REFERENCE: reference_document(run.calibration)})
 
 
+def as_given(rig: StereoRig, length_from: str | None = None) -> StereoCalibration:
+    """A rig of which nothing more is known, but perhaps where its length is from: a foreign file's, a data set's."""
+    nothing = Covariance((), np.zeros((0, 0)))
+    provenance = {} if length_from is None else {"length_from": length_from}
+    return StereoCalibration(rig, nothing, ResidualSummary(np.nan, np.nan, np.nan), np.nan, (), provenance=provenance)
+
+
 def load_given_rig(path: Path) -> StereoCalibration:
     """A rig.json whole, or what any other file says of the rig.
 
@@ -223,9 +230,7 @@ def load_given_rig(path: Path) -> StereoCalibration:
     """
     if rig_json.holds_calibration(path):
         return rig_json.read_calibration(path)
-    rig = load_rig(path)
-    nothing = Covariance((), np.zeros((0, 0)))
-    return StereoCalibration(rig, nothing, ResidualSummary(np.nan, np.nan, np.nan), np.nan, ())
+    return as_given(load_rig(path))
 
 
 def source_of_dataset(text: str, given: StereoCalibration | None) -> NaturalSource:

@@ -108,14 +108,14 @@ def recalibrate(
     check_calibrator(calibrator, NATURAL_CALIBRATORS, solves_of)
     check_output(output, force=force)
     given, source = _natural_source(left, right, dataset, rig)
-    if reference and given is None:
-        raise typer.BadParameter("--reference keeps the rig as given: give --rig with a rig.json.")
     with progress_on_terminal() as progress:
         options = natural.NaturalOptions(
             start is Starts.rig, length_m, max_pairs or natural.MAX_PAIRS, seed, progress, calibrator=calibrator
         )
         run = natural.recalibrate(source, options)
-    written = natural.with_reference(given, run) if reference and given is not None else run.calibration
+    written = run.calibration
+    if reference:
+        written = natural.with_reference(given or natural.as_given(source.rig, source.length_from), run)
     rig_json.write_calibration(output, written, force=force)
     kept = ", the rig as given with this result as its reference" if reference else ""
     present(texts.run_document(run, output=str(output)), texts.recalibrate_text(run, output, kept), json)
@@ -239,7 +239,7 @@ def _check_stream(source: Any, every: int, fps: float | None, seed: int, json: b
 
 
 def _natural_source(left: str | None, right: str | None, dataset: str | None, rig: Path | None) -> Any:
-    """The calibration of ``--rig``, if there is one, and the pairs with their rig."""
+    """The calibration of ``--rig``, None where a data set brings its own, and the pairs with their rig."""
     from binocal.app import natural
 
     if (dataset is None) == (left is None and right is None) or (left is None) != (right is None):
