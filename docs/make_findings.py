@@ -406,6 +406,13 @@ EXPLANATIONS = {
     "dataset-image-size-differs": """
         A calibration holds for the size of image that it was made with. Images that were resized need another focal length, cropped
         ones another principal point; rectified images with the calibration of raw ones give a wrong rig without any other sign.""",
+    "dataset-frame-unknown": """
+        `--rig-of` names the pair whose calibration is to be used, by its whole name or by how that begins (a city of Cityscapes, a
+        number of KITTI's). The names are those of the left images without their ending; the message lists the first.""",
+    "dataset-rigs-left-out": """
+        Cityscapes, KITTI's stereo and object sets and Middlebury have a calibration for every image, and pairs of different rigs must
+        not be pooled. Used is the calibration that `--rig-of FRAME` names, else the one whose cameras are those of `--rig`, else the
+        one of most pairs; all pairs of other calibrations are left out.""",
     "dataset-has-several-rigs": """
         Cityscapes, KITTI's stereo and object sets and Middlebury have a calibration per image, which changes between recordings.
         Pairs of different rigs must not be pooled. `Dataset.by_rig()` gives the parts that have one rig each, the largest first.""",

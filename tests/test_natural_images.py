@@ -308,6 +308,9 @@ def test_a_data_set_keeps_its_own_rig_with_a_reference(folder, tmp_path, capsys)
     capsys.readouterr()
     assert run("check", "--dataset", dataset, "--rig", held, "--json") == 0
     assert json.loads(capsys.readouterr().out)["drift"]["against"] == "the file's own reference"
+    assert run("check", "--dataset", dataset, "--rig-of", "2021") == 3
+    assert "no pair is called 2021" in capsys.readouterr().err
+    assert run("check", *sources(folder), "--rig", held, "--rig-of", "2021") == 2
 
 
 def test_check_sees_a_translation_that_points_elsewhere(folder, tmp_path, capsys):

@@ -467,6 +467,11 @@ _KINDS = (
         "use the images as published, not resized or cropped, with their own calibration", DataError,
     ),
     FindingKind(
+        "dataset-frame-unknown", _R, "A data set has no pair of that name",
+        "{path}: no pair is called {frame}, nor does a name begin so; there are {names}; {remedy}.",
+        "give the name of a pair, or how it begins", DataError,
+    ),
+    FindingKind(
         "dataset-has-several-rigs", _R, "The pairs of a data set are of several rigs",
         "the {n_pairs} pairs of {path} are of {n_rigs} different rigs; {remedy}.",
         "name a part with one calibration, or take the parts of Dataset.by_rig() one by one", DataError,
@@ -626,6 +631,12 @@ _KINDS = (
     FindingKind(
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",
         "camera model: {reason}.", "",
+    ),
+    FindingKind(
+        "dataset-rigs-left-out", _W, "Pairs of other calibrations of a data set were left out",
+        "{n_out} of {n_pairs} pairs are of {n_rigs} other calibrations and were left out ({names}); used is the calibration of {used}, "
+        "{why}; {remedy}.",
+        "choose another one with --rig-of FRAME",
     ),
     FindingKind(
         "dataset-frames-left-out", _W, "Some images of a data set have no partner and were left out",

@@ -14,7 +14,7 @@ from binocal.app.natural_drift import AGAINST_RIG, Drift, depth_error_percent, d
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
-from binocal.datasets import StereoPair, open_dataset
+from binocal.datasets import Dataset, StereoPair, open_dataset
 from binocal.datasets.folder import list_pairs
 from binocal.datasets.frames import name_some
 from binocal.errors import DataError
@@ -233,13 +233,24 @@ def load_given_rig(path: Path) -> StereoCalibration:
     return as_given(load_rig(path))
 
 
-def source_of_dataset(text: str, given: StereoCalibration | None) -> NaturalSource:
-    """Pairs of a data set (``KIND:PATH``), with its own cameras unless a rig is given; of several rigs that of most pairs.
+def source_of_dataset(text: str, given: StereoCalibration | None, rig_of: str | None = None) -> NaturalSource:
+    """Pairs of a data set (``KIND:PATH``), with its own cameras unless a rig is given.
+
+    Of a data set with several calibrations that of the pair ``rig_of``, or the given rig's, or that of most pairs; see
+    :meth:`binocal.datasets.Dataset.of_one_rig`.
 
     Raises:
         DataError: Its layout is broken, or neither it nor a rig says what its cameras are.
     """
-    part = open_dataset(text).by_rig()[0]
+    return source_of_part(open_dataset(text).of_one_rig(frame=rig_of, like=None if given is None else given.rig), given)
+
+
+def source_of_part(part: Dataset, given: StereoCalibration | None) -> NaturalSource:
+    """The pairs of a data set that has one calibration, or a given one.
+
+    Raises:
+        DataError: Neither it nor a rig says what its cameras are.
+    """
     if given is not None:
         return NaturalSource(
             part.stereo_pairs, given.rig, given.covariance, given.extra.get(REFERENCE), findings=part.findings

@@ -23,6 +23,17 @@ Dataset = Annotated[
 ]
 
 
+RigOf = Annotated[
+    str | None,
+    typer.Option(
+        "--rig-of",
+        help="Of a data set with several calibrations, that of this pair (its name, or how that begins); else that of --rig, "
+        "or of most pairs.",
+        metavar="FRAME",
+    ),
+]
+
+
 SomeLeft = Annotated[
     str | None, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")
 ]
@@ -64,6 +75,7 @@ def recalibrate(
     left: SomeLeft = None,
     right: SomeRight = None,
     dataset: Dataset = None,
+    rig_of: RigOf = None,
     rig: OldRig = None,
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "new.json"
@@ -107,7 +119,7 @@ def recalibrate(
     length_m = parse_length(baseline)
     check_calibrator(calibrator, NATURAL_CALIBRATORS, solves_of)
     check_output(output, force=force)
-    given, source = _natural_source(left, right, dataset, rig)
+    given, source = _natural_source(left, right, dataset, rig, rig_of)
     with progress_on_terminal() as progress:
         options = natural.NaturalOptions(
             start is Starts.rig, length_m, max_pairs or natural.MAX_PAIRS, seed, progress, calibrator=calibrator
@@ -127,6 +139,7 @@ def check(
     left: SomeLeft = None,
     right: SomeRight = None,
     dataset: Dataset = None,
+    rig_of: RigOf = None,
     rig: OldRig = None,
     stream: Annotated[
         bool,
@@ -163,7 +176,7 @@ def check(
         raise typer.BadParameter("--stream takes every pair; leave out --max-pairs.")
     if fps is not None and fps <= 0:
         raise typer.BadParameter(f"--fps is {fps:g}; give pairs per second, such as 10.")
-    _, source = _natural_source(left, right, dataset, rig)
+    _, source = _natural_source(left, right, dataset, rig, rig_of)
     if stream:
         return _check_stream(source, every or 1, fps, seed, json)
     with progress_on_terminal() as progress:
@@ -238,15 +251,19 @@ def _check_stream(source: Any, every: int, fps: float | None, seed: int, json: b
     return BELOW_QUALITY if run.has_drifted else FINE
 
 
-def _natural_source(left: str | None, right: str | None, dataset: str | None, rig: Path | None) -> Any:
+def _natural_source(
+    left: str | None, right: str | None, dataset: str | None, rig: Path | None, rig_of: str | None
+) -> Any:
     """The calibration of ``--rig``, None where a data set brings its own, and the pairs with their rig."""
     from binocal.app import natural
 
     if (dataset is None) == (left is None and right is None) or (left is None) != (right is None):
         raise typer.BadParameter("give either --dataset, or --left and --right together.")
+    if rig_of is not None and dataset is None:
+        raise typer.BadParameter("--rig-of chooses among the calibrations of a --dataset.")
     given = None if rig is None else natural.load_given_rig(rig)
     if dataset is not None:
-        return given, natural.source_of_dataset(dataset, given)
+        return given, natural.source_of_dataset(dataset, given, rig_of)
     if given is None:
         raise typer.BadParameter("images alone do not say what cameras took them: give --rig.")
     return given, natural.source_of_images(str(left), str(right), given)
