@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from binocal.app.known_lengths import KnownLength, measure_known_lengths, pair_called
 from binocal.app.natural_drift import AGAINST_RIG, Drift, depth_error_percent, drift_of, reference_document
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
@@ -75,6 +76,8 @@ class NaturalOptions:
     should_stop: ShouldStop | None = None
     calibrator: str = "drl"
     """See :func:`binocal.calibrators.natural_solves.solves_of`."""
+    known_lengths: tuple[KnownLength, ...] = ()
+    """Of the scene: they give the translation its length, in place of ``baseline_m`` and the old rig's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +124,8 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     if not source.pairs:
         raise DataError("no pairs of images.")
     _refuse_no_baseline(source.rig)
+    for known in options.known_lengths:
+        pair_called(known.pair, source.pairs)  # refused before anything is computed
     cameras = source.rig.left, source.rig.right
     started = time.perf_counter()
     chosen = [source.pairs[i] for i in looked_at(len(source.pairs), options.max_pairs)]
@@ -146,6 +151,8 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         calibrator=options.calibrator,
     )
     calibration = calibrate_from_matches(matches, request)
+    if options.known_lengths:
+        calibration = measure_known_lengths(calibration, source.pairs, options.known_lengths)
     calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))
     right = _right_matches(cameras, calibration, matches)
     drift = drift_of(calibration, source.rig, source.covariance, source.reference)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import check_calibrator, parse_length
+from binocal.cli.arguments import check_calibrator, parse_known_length, parse_length
 from binocal.cli.exits import BELOW_QUALITY, FINE
 from binocal.cli.options import Force, Json, Seed, Threads, app, finite, present
 
@@ -90,6 +90,15 @@ def recalibrate(
             "--baseline", help="Distance of the cameras, such as 120mm; default: the old rig's.", metavar="LENGTH"
         ),
     ] = None,
+    known_length: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--known-length",
+            help="A length in the scene that gives the cameras' distance: pair (name, or number from 0), both ends in its left image, "
+            "and the length, such as 0:120.5,300:410,298.7=1.50m (perhaps +-2mm); may be repeated.",
+            metavar="PAIR:X,Y:X,Y=LENGTH",
+        ),
+    ] = None,
     calibrator: Annotated[
         str,
         typer.Option(
@@ -116,13 +125,25 @@ def recalibrate(
     from binocal.formats import rig_json
     from binocal.output import check_output
 
-    length_m = parse_length(baseline)
+    length_m, lengths = parse_length(baseline), tuple(parse_known_length(text) for text in known_length or ())
+    if lengths and (baseline is not None or reference):
+        raise typer.BadParameter(
+            "--baseline and --known-length both give the length: leave one out."
+            if baseline is not None
+            else "--reference writes the rig as given, whose length stays: leave out --known-length."
+        )
     check_calibrator(calibrator, NATURAL_CALIBRATORS, solves_of)
     check_output(output, force=force)
     given, source = _natural_source(left, right, dataset, rig, rig_of)
     with progress_on_terminal() as progress:
         options = natural.NaturalOptions(
-            start is Starts.rig, length_m, max_pairs or natural.MAX_PAIRS, seed, progress, calibrator=calibrator
+            start is Starts.rig,
+            length_m,
+            max_pairs or natural.MAX_PAIRS,
+            seed,
+            progress,
+            calibrator=calibrator,
+            known_lengths=lengths,
         )
         run = natural.recalibrate(source, options)
     written = run.calibration
