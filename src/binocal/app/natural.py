@@ -12,6 +12,7 @@ import numpy as np
 
 from binocal.app.known_lengths import KnownLength, measure_known_lengths, pair_called
 from binocal.app.natural_drift import AGAINST_RIG, Drift, depth_error_percent, drift_of, reference_document
+from binocal.app.pair_choice import choose_pairs
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
@@ -31,9 +32,7 @@ from binocal.solvers.epipolar import EpipolarProblem
 from binocal.solvers.relative_pose import RelativePose
 from binocal.solvers.robust import TUKEY_END
 
-MAX_PAIRS = (
-    8  # used, of twice as many looked at; the random part of the error is below that of the intrinsics after four
-)
+MAX_PAIRS = 8  # the random part of the error is below that of the intrinsics after four
 LEAST_BASELINE_M, MOST_BASELINE_M = 1e-3, 100.0  # between a rig of tiny cameras and one on a ship
 REFERENCE = "reference"
 """Where a rig file holds its own result of ``recalibrate``."""
@@ -128,10 +127,9 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         pair_called(known.pair, source.pairs)  # refused before anything is computed
     cameras = source.rig.left, source.rig.right
     started = time.perf_counter()
-    chosen = [source.pairs[i] for i in looked_at(len(source.pairs), options.max_pairs)]
-    matches, left_out = matches_of(chosen, cameras, options.progress, options.should_stop)
-    if matches.n_pairs > options.max_pairs:
-        matches = matches.of_pairs(most_telling(source.rig, matches, options.max_pairs))
+    near, listeners = source.rig.T_right_left, (options.progress, options.should_stop)
+    chosen = choose_pairs(source.pairs, cameras, near, options.max_pairs, *listeners)
+    matches, left_out = matches_of([source.pairs[i] for i in chosen], cameras, *listeners)
     matched = time.perf_counter()
     old = source.rig.T_right_left if options.from_old_rig else None
     length, sigma_m, said = options.baseline_m, 0.0, "--baseline"
@@ -178,35 +176,6 @@ def _baseline_sigma_m(source: NaturalSource) -> float:
         return 0.0
     along = source.rig.T_right_left.t / source.rig.baseline_m
     return float(np.sqrt(max(along @ source.covariance.block("translation") @ along, 0.0)))
-
-
-def looked_at(n_pairs: int, max_pairs: int) -> list[int]:
-    """Which pairs to match: twice as many as are wanted, evenly over the drive."""
-    return np.unique(np.linspace(0, n_pairs - 1, min(n_pairs, 2 * max_pairs)).round().astype(int)).tolist()
-
-
-def most_telling(rig: StereoRig, matches: PointMatches, n_wanted: int) -> list[int]:
-    """The pairs that together tell the pose best: each next one lowers the trace of its covariance most.
-
-    Greedy choice comes within 1 % of exchanging until nothing improves.
-    """
-    pose = RelativePose.of(rig.T_right_left)
-    informations = []
-    n_pairs = matches.n_pairs
-    for pair in range(n_pairs):
-        problem, _ = EpipolarProblem.of_matches((rig.left, rig.right), matches.of_pairs([pair]))
-        informations.append(problem.linearize(pose, np.asarray(1.0), "geman").information)
-    total = np.sum(informations, axis=0)
-    size = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
-    scaled = [A * size[:, None] * size for A in informations]
-    chosen: list[int] = []
-    known = 1e-6 * np.eye(5)
-    while len(chosen) < n_wanted:
-        rest = [i for i in range(n_pairs) if i not in chosen]
-        best = min(rest, key=lambda i: float(np.trace(np.linalg.inv(known + scaled[i]))))
-        chosen.append(best)
-        known = known + scaled[best]
-    return sorted(chosen)
 
 
 def _right_matches(

@@ -56,7 +56,7 @@ MaxPairs = Annotated[
     int | None,
     typer.Option(
         "--max-pairs",
-        help="Use the N most telling pairs of twice as many looked at; 8 unless given.",
+        help="Use the N pairs that tell most, of twelve times as many glanced at; 8 unless given.",
         metavar="N",
         min=1,
     ),
