@@ -1,0 +1,45 @@
+"""What a report shows: everything is computed before, and drawn from here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from binocal.evidence import Detections
+from binocal.findings import Finding, Severity
+from binocal.planning import ViewPlan
+from binocal.requirements import Verdict
+from binocal.result import StereoCalibration
+from binocal.uncertainty.maps import ProjectionMap, RangeMap
+from binocal.validation import CheckLine, ValidationReport
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportContents:
+    """A calibration, and what was computed from it.
+
+    ``name`` is what the rig is called, ``detections`` all corners as detected, those of rejected views too (None: not at hand).
+    ``ranges`` are maps of depth at rising ranges, ``at_boards`` the one at the boards' distance; ``projection`` those of both cameras.
+    ``notes`` say what could not be shown, and why. ``commands`` repeat calibration and report.
+    """
+
+    name: str
+    calibration: StereoCalibration
+    checks: tuple[CheckLine, ...] = ()
+    validation: ValidationReport = field(default_factory=ValidationReport)
+    verdicts: tuple[Verdict, ...] = ()
+    plans: tuple[ViewPlan, ...] = ()
+    detections: Detections | None = None
+    ranges: tuple[RangeMap, ...] = ()
+    at_boards: RangeMap | None = None
+    projection: tuple[ProjectionMap, ...] = ()
+    matching_px: float = 0.0
+    notes: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Those of the calibration, and what the checks found wrong; each once, warnings first."""
+        found = {(one.code, one.text): one for one in self.calibration.findings}
+        codes = {code for code, _ in found}
+        found |= {(one.code, one.text): one for one in self.validation.warnings if one.code not in codes}
+        return tuple(sorted(found.values(), key=lambda one: one.severity is not Severity.WARNING))
