@@ -27,7 +27,7 @@ def image_axes(axes: Axes, size_wh: tuple[int, int], title: str) -> None:
 
 def image_height(size_wh: tuple[int, int], width: float) -> float:
     """The height of a figure, inches, of which the axes fit an image of that size; neither flat nor towering."""
-    return float(np.clip(0.8 * width * size_wh[1] / size_wh[0] + 0.75, 2.0, 6.0))
+    return float(np.clip(0.74 * width * size_wh[1] / size_wh[0] + 0.75, 2.0, 6.0))
 
 
 def draw_dots(axes: Axes, px: Float[ndarray, "n 2"], colour: str, *, size: float = 2.0, **options: Any) -> None:
@@ -53,7 +53,11 @@ def draw_strokes(
 def draw_map(
     axes: Axes, px: Float[ndarray, "rows columns 2"], values: Float[ndarray, "rows columns"], unit: str
 ) -> tuple[Tip, ...]:
-    """A map over an image by filled contours, with a bar of its colours and a tip at every place; blank where it is NaN."""
+    """A map over an image by filled contours, with a bar of its colours and a tip at every place; blank where it is NaN.
+
+    The unit joins the title of the axes.
+    """
+    axes.set_title(f"{axes.get_title()} ({unit})")
     known = np.isfinite(values)
     if not known.any():
         axes.text(0.5, 0.5, "nothing to show here", transform=axes.transAxes, ha="center", va="center")
@@ -64,8 +68,7 @@ def draw_map(
         levels = _levels(low, high)
         norm = _norm(levels)
         drawn = axes.contourf(px[..., 0], px[..., 1], shown, levels=levels, cmap=MAP_COLOURS, norm=norm)
-        bar = axes.figure.colorbar(drawn, ax=axes, fraction=0.046, pad=0.03)
-        bar.set_label(unit)
+        bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
         bar.outline.set_visible(False)
         bar.ax.set_yticks(levels[::2], [f"{level:.2g}" for level in levels[::2]])
     return tuple(

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from binocal.findings import KINDS, Finding, Severity
-from binocal.report import corner_figures
-from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
+from binocal.report.corner_sections import coverage_section, residual_section
 from binocal.report.headline import GRAVE
-from binocal.report.svg import WIDTH_INCHES, FigureSvg, figure_svg
+from binocal.report.section import Notice, Section, Table
+from binocal.report.sigma_sections import depth_section, projection_section
 from binocal.requirements import Outcome, Verdict
-from binocal.validation.residuals import corner_residuals, solved_detections
 from binocal.values import with_sigma
 
 _WORDS = {
@@ -27,49 +25,6 @@ _WORDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A figure with what stands below it."""
-
-    figure: FigureSvg
-    caption: str
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table; the first column names the rows. Numbers are right-aligned from the column ``numbers_from`` on."""
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    caption: str = ""
-    numbers_from: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Notice:
-    """Something found: its level (``good``, ``care``, ``bad``, or nothing), that in a word, what it is, and what to do."""
-
-    level: str
-    word: str
-    title: str
-    text: str
-    remedy: str = ""
-    code: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """One section; ``anchor`` is its id in the page."""
-
-    anchor: str
-    title: str
-    lead: str = ""
-    pictures: tuple[Picture, ...] = ()
-    tables: tuple[Table, ...] = ()
-    notices: tuple[Notice, ...] = ()
-    texts: tuple[str, ...] = ()
-
-
 def sections_of(contents: ReportContents) -> tuple[Section, ...]:
     """Those that have something to show."""
     made = (
@@ -77,6 +32,8 @@ def sections_of(contents: ReportContents) -> tuple[Section, ...]:
         finding_section(contents),
         coverage_section(contents),
         residual_section(contents),
+        projection_section(contents),
+        depth_section(contents),
         repeat_section(contents),
     )
     return tuple(section for section in made if section is not None)
@@ -183,65 +140,3 @@ def _pm(value: float, sigma: float, unit: str) -> str:
 
 def _plain(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
-
-
-def coverage_section(contents: ReportContents) -> Section | None:
-    """Where corners were seen in both images."""
-    if contents.calibration.evidence is None:
-        return None
-    detections = contents.calibration.evidence.detections
-    pictures = []
-    for side in ("left", "right"):
-        px, size_wh = getattr(detections, f"{side}_px"), getattr(detections, f"{side}_size_wh")
-        figure = figure_svg(
-            lambda axes, px=px, size=size_wh, side=side: corner_figures.draw_coverage(axes, px, size, side),
-            name=f"coverage-{side}",
-            title=f"Corners of all used views in the image of the {side} camera",
-            height=image_height(size_wh, WIDTH_INCHES),
-        )
-        n = int(np.isfinite(px[..., 0]).sum())
-        pictures.append(Picture(figure, f"{n} corners in the {side} image."))
-    return Section(
-        "coverage",
-        "Coverage",
-        "Where in the images corners were seen. The lens is known where there were some; tinted parts had none, and are extrapolated.",
-        tuple(pictures),
-    )
-
-
-def residual_section(contents: ReportContents) -> Section | None:
-    """How far corners lie from where the rig predicts them: over the images, and along the sequence."""
-    calibration = contents.calibration
-    if calibration.evidence is None:
-        return None
-    detections = solved_detections(calibration)
-    pictures = []
-    for side, residuals in zip(("left", "right"), corner_residuals(calibration), strict=True):
-        px, size_wh = getattr(detections, f"{side}_px"), getattr(detections, f"{side}_size_wh")
-        figure = figure_svg(
-            lambda axes, px=px, r=residuals, size=size_wh, side=side: corner_figures.draw_residuals(
-                axes, px, r, size, side
-            ),
-            name=f"residuals-{side}",
-            title=f"Residuals of the {side} camera's corners as arrows",
-            height=image_height(size_wh, WIDTH_INCHES),
-        )
-        rms = getattr(calibration.rms, f"{side}_px")
-        pictures.append(Picture(figure, f"RMS {rms:.3f} px in the {side} image."))
-    views = calibration.views
-    along = figure_svg(
-        lambda axes: corner_figures.draw_views(
-            axes, [v.name for v in views], [v.left_rms_px for v in views], [v.right_rms_px for v in views]
-        ),
-        name="residuals-views",
-        title="RMS of every view in both cameras, along the sequence",
-        height=2.6,
-    )
-    pictures.append(Picture(along, "Views that stand out were taken with the board moving, or hold wrong corners."))
-    return Section(
-        "residuals",
-        "Residuals",
-        "How far corners were measured from where the rig predicts them. Arrows that point alike in one part of an image are what the "
-        "model leaves unexplained; without order they are noise.",
-        tuple(pictures),
-    )
