@@ -212,11 +212,33 @@ def test_in_a_browser(folder, capsys):
             assert shown.messages == []
             assert shown.value("document.documentElement.scrollWidth") <= width
         shown.value("document.querySelector('#coverage figure').scrollIntoView({block: 'center', behavior: 'instant'})")
-        x, y = shown.value(
-            "(() => { const b = document.querySelector('#coverage svg').getBoundingClientRect();"
-            " return [b.left + b.width / 2, b.top + b.height / 2]; })()"
-        )
+        x, y = middle_of(shown, "#coverage svg")
         shown.mouse("mouseMoved", x, y)
         assert re.fullmatch(r"\d+ corners? here", shown.value("document.getElementById('tip').textContent"))
         assert shown.value("document.getElementById('tip').hidden") is False
+        outlines = (
+            "[...document.querySelectorAll('#scene polygon')].map((e) => e.getAttribute('points')).sort().join(';')"
+        )
+        shown.value("document.getElementById('scene').scrollIntoView({block: 'center', behavior: 'instant'})")
+        x, y = middle_of(shown, "#scene")
+        before = shown.value(outlines)
+        assert before.count(";") > 10 and "NaN" not in before
+        for kind, dx, buttons in (("mousePressed", 0, 1), ("mouseMoved", 60, 1), ("mouseReleased", 60, 0)):
+            shown.mouse(kind, x + dx, y, buttons)
+        dragged = shown.value(outlines)
+        assert dragged != before
+        shown.value("document.getElementById('scene-view').focus({preventScroll: true})")
+        shown.key("ArrowLeft")
+        assert shown.value(outlines) not in (before, dragged)
+        shown.key("0")
+        assert shown.value(outlines) == before
+        shown.value("document.querySelector('[data-look=top]').click()")
+        assert shown.value(outlines) != before
         assert shown.messages == []
+
+
+def middle_of(shown, selector):
+    return shown.value(
+        f"(() => {{ const b = document.querySelector('{selector}').getBoundingClientRect();"
+        " return [b.left + b.width / 2, b.top + b.height / 2]; })()"
+    )

@@ -116,6 +116,7 @@ def make_report(
         matching_px=MATCHING_PX,
         notes=(*notes, *more),
         commands=_commands(calibration, rig, request),
+        board=board,
     )
     headline = headline_of(calibration, contents.findings, needs.verdicts, at_boards)
     return ReportRun(report_page(contents, headline), headline, needs, contents.notes)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from numpy import ndarray
+
+from binocal.boards import Board
 from binocal.evidence import Detections
 from binocal.findings import Finding, Severity
 from binocal.planning import ViewPlan
 from binocal.requirements import Verdict
 from binocal.result import StereoCalibration
+from binocal.shapes import Float
 from binocal.uncertainty.maps import ProjectionMap, RangeMap
 from binocal.validation import CheckLine, ValidationReport
 
@@ -19,7 +23,7 @@ class ReportContents:
 
     ``name`` is what the rig is called, ``detections`` all corners as detected, those of rejected views too (None: not at hand).
     ``ranges`` are maps of depth at rising ranges, ``at_boards`` the one at the boards' distance; ``projection`` those of both cameras.
-    ``notes`` say what could not be shown, and why. ``commands`` repeat calibration and report.
+    ``board`` is the one of the plans. ``notes`` say what could not be shown, and why. ``commands`` repeat calibration and report.
     """
 
     name: str
@@ -35,6 +39,16 @@ class ReportContents:
     matching_px: float = 0.0
     notes: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
+    board: Board | None = None
+
+    @property
+    def board_points_m(self) -> Float[ndarray, "n 3"] | None:
+        """The board's points as they are, or as drawn; None where nobody says what it is."""
+        if self.calibration.evidence is not None:
+            return self.calibration.evidence.board_points_m
+        if self.calibration.board_shape is not None:
+            return self.calibration.board_shape.points_m
+        return None if self.board is None else self.board.object_points_m
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 from importlib import resources
+from typing import Any
 
 from binocal import __version__
 from binocal.errors import MissingExtraError
@@ -14,7 +15,7 @@ from binocal.report.headline import Headline
 from binocal.report.sections import sections_of
 
 TEMPLATE = "report.html.j2"
-SCRIPTS = ("tips.js",)
+SCRIPTS = ("tips.js", "scene.js")
 STYLE = "report.css"
 
 
@@ -37,7 +38,7 @@ def report_page(contents: ReportContents, headline: Headline) -> str:
     )
     style = _asset(STYLE)
     scripts = [_asset(name) for name in SCRIPTS]
-    environment.filters["json"] = lambda value: json.dumps(value, ensure_ascii=False, separators=(",", ":"))
+    environment.filters["json"] = compact_json
     return environment.get_template(TEMPLATE).render(
         contents=contents,
         headline=headline,
@@ -47,6 +48,11 @@ def report_page(contents: ReportContents, headline: Headline) -> str:
         policy=content_policy([style], scripts),
         version=__version__,
     )
+
+
+def compact_json(value: Any) -> str:
+    """JSON that may stand in a script element too: it holds no ``<``."""
+    return json.dumps(value, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def content_policy(styles: list[str], scripts: list[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from binocal.report.scene import RigScene
 from binocal.report.svg import FigureSvg
 
 
@@ -48,3 +49,4 @@ class Section:
     tables: tuple[Table, ...] = ()
     notices: tuple[Notice, ...] = ()
     texts: tuple[str, ...] = ()
+    scene: RigScene | None = None

@@ -12,6 +12,7 @@ from binocal.findings import KINDS, Finding, Severity
 from binocal.report.contents import ReportContents
 from binocal.report.corner_sections import coverage_section, residual_section
 from binocal.report.headline import GRAVE
+from binocal.report.rig_sections import rig_section
 from binocal.report.section import Notice, Section, Table
 from binocal.report.sigma_sections import depth_section, projection_section
 from binocal.requirements import Outcome, Verdict
@@ -30,6 +31,7 @@ def sections_of(contents: ReportContents) -> tuple[Section, ...]:
     made = (
         key_section(contents),
         finding_section(contents),
+        rig_section(contents),
         coverage_section(contents),
         residual_section(contents),
         projection_section(contents),

@@ -1,6 +1,6 @@
 "use strict";
 /* The nearest place of a figure under the pointer, or chosen with the arrow keys, and what is there. */
-(() => {
+const pageTip = (() => {
   const tip = document.getElementById("tip");
   const hide = () => { tip.hidden = true; };
   const show = (text, x, y) => {
@@ -42,4 +42,5 @@
       showChosen();
     });
   }
+  return { show, hide };
 })();

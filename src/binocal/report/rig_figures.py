@@ -1,0 +1,48 @@
+"""The rig and its board on Matplotlib's axes: seen from above, and the board's height above its mean plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from binocal.report.corner_figures import SIDES
+from binocal.report.scene import RigScene
+from binocal.report.svg import FAINT, GOOD, Tip
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LENGTH_SCALE = {"x": 0, "y": 1, "z": 2}
+
+
+def draw_rig(axes: Axes, scene: RigScene, seen_from: str = "above") -> Sequence[Tip]:
+    """Both cameras, what they see, and every board, from above (x right, z up) or from the side (z right, y down)."""
+    across, along = ("x", "z") if seen_from == "above" else ("z", "y")
+    a, b = LENGTH_SCALE[across], LENGTH_SCALE[along]
+    axes.set(title=f"Seen from {'above' if seen_from == 'above' else 'the side'}")
+    axes.set(xlabel=f"{across} ({scene.unit})", ylabel=f"{along} ({scene.unit})")
+    axes.set_aspect("equal", adjustable="datalim")
+    tips = []
+    for board in scene.boards:
+        closed = np.concatenate([board.outline, board.outline[:1]])
+        colour, width = (GOOD, 1.4) if board.is_suggested else (FAINT, 0.9)
+        axes.plot(closed[:, a], closed[:, b], color=colour, linewidth=width)
+        middle = board.outline.mean(axis=0)
+        tips.append(Tip(float(middle[a]), float(middle[b]), board.text))
+    for camera in scene.cameras:
+        colour = SIDES[camera.side]
+        for point in camera.outline[:: max(len(camera.outline) // 4, 1)]:
+            axes.plot([camera.centre[a], point[a]], [camera.centre[b], point[b]], color=colour, linewidth=0.8)
+        closed = np.concatenate([camera.outline, camera.outline[:1]])
+        axes.plot(closed[:, a], closed[:, b], color=colour, linewidth=0.8)
+        axes.plot(
+            [camera.centre[a]], [camera.centre[b]], "o", color=colour, markersize=4, label=f"{camera.side} camera"
+        )
+    (xl, yl), (xr, yr) = ((c.centre[a], c.centre[b]) for c in scene.cameras)
+    axes.plot([xl, xr], [yl, yr], color=FAINT, linewidth=1.5)
+    if seen_from != "above":
+        axes.invert_yaxis()
+    axes.legend(loc="best")
+    return tips
