@@ -18,6 +18,7 @@ pytest.importorskip("jinja2", reason="Jinja is an extra: pip install binocal[rep
 
 import headless_browser
 
+from binocal.app import report as reporting
 from binocal.app.report import ReportRequest, make_report, write_report
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
@@ -53,6 +54,12 @@ def folder(tmp_path_factory):
     needs = (parse_requirement("depth 0.01% at 2m"), parse_requirement("row 5px"))
     write_report(place / "rig.json", place / "report.html", ReportRequest(requirements=needs))
     return place
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Everything but the drawing, which takes most of the time."""
+    monkeypatch.setattr(reporting, "report_page", lambda contents, headline: f"<h1>{headline.sentence}</h1>")
 
 
 class Elements(HTMLParser):
@@ -139,6 +146,14 @@ def test_warnings_come_before_depth(folder):
     )
     bad = headline_of(calibration, (kept, grave))
     assert bad.level == "bad" and bad.sentence.startswith("Do not rely on this rig yet: two halves")
+    assert bad.points == ("The lens bends light as its model cannot.",)
+    twice = headline_of(calibration, (kept, kept))
+    assert twice.sentence == care.sentence and twice.points == ()
+
+
+def test_the_plan_is_drawn_and_what_comes_next_said(page):
+    assert "Outlines of the boards to show next in the left image, for depth 0.01% at 2m" in page
+    assert re.search(r"<li>Add the \d+ views? drawn below, which (does not meet|meets) depth 0.01% at 2m", page)
 
 
 def test_without_corners_the_page_says_so(folder, tmp_path):
@@ -176,7 +191,7 @@ def test_wrong_use_is_one_line_and_its_exit_code(folder, tmp_path, capsys, monke
     assert "pip install 'binocal[report]'" in capsys.readouterr().err
 
 
-def test_the_verb_prints_the_verdict(folder, tmp_path, capsys):
+def test_the_verb_prints_the_verdict(folder, tmp_path, capsys, undrawn):
     arguments = ["report", str(folder / "rig.json"), "--output", str(tmp_path / "r.html")]
     assert main([*arguments, "--require", "row 5px", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -17,11 +17,12 @@ from binocal.evidence import Detections
 from binocal.formats.detections_npz import is_detections_file, read_detections
 from binocal.formats.rig_json import holds_calibration, read_calibration
 from binocal.output import check_output, write_aside
+from binocal.planning import ViewPlan, plan_views
 from binocal.progress import ProgressCallback
 from binocal.report.contents import ReportContents
 from binocal.report.headline import Headline, headline_of
 from binocal.report.page import report_page
-from binocal.requirements import Requirement
+from binocal.requirements import Requirement, parse_requirement
 from binocal.requirements.figures import usual_range
 from binocal.result import StereoCalibration
 from binocal.uncertainty.depth import MATCHING_PX
@@ -29,6 +30,7 @@ from binocal.uncertainty.maps import ProjectionMap, RangeMap, projection_map, ra
 from binocal.validation import overview, validate
 
 NEAREST, FARTHEST = 0.5, 8.0  # times the boards' distance: the ranges that are shown
+USUAL_VIEWS = 5  # of the plan where no need was stated
 MOST_FILES_TRIED = 20  # beside the rig, for the corners that it was made from
 NO_CORNERS = (
     "coverage, residuals and checks need the corners of the calibration, and none were given: name them with --evidence "
@@ -108,7 +110,7 @@ def make_report(
         checks=checks if calibration.evidence is not None else (),
         validation=validation,
         verdicts=needs.verdicts,
-        plans=needs.plans,
+        plans=needs.plans or _usual_plan(calibration, request, board),
         detections=detections,
         ranges=ranges,
         at_boards=at_boards,
@@ -179,6 +181,17 @@ def _uncertainty(
             for side in ("left", "right")
         )
     return at_boards, run.ranges, projection, run.notes
+
+
+def _usual_plan(calibration: StereoCalibration, request: ReportRequest, board: Board | None) -> tuple[ViewPlan, ...]:
+    """Where no need was stated: the few views that lower depth's error at the boards' distance fastest."""
+    range_m = usual_range(calibration)
+    if request.requirements or board is None or not np.isfinite(range_m) or not calibration.covariance.names:
+        return ()
+    need = parse_requirement(f"depth 1% at {range_m:.3g}{'m' if calibration.rig.is_metric else ''}")
+    with contextlib.suppress(BinocalError):
+        return (plan_views(calibration, board, need, n_views=USUAL_VIEWS),)
+    return ()
 
 
 def _commands(calibration: StereoCalibration, rig: Path, request: ReportRequest) -> tuple[str, ...]:

@@ -45,21 +45,21 @@ def headline_of(
     )
     is_grave = bool(warnings) and warnings[0].code in GRAVE
     depth = depth_sentence(calibration, at_boards)
-    points = [v.sentence for v in sorted(verdicts, key=_order)] + [_title(found) for found in warnings]
-    points = [_closed(point) for point in points[:MOST_POINTS]] + ([depth] if depth else [])
+    titles = list(dict.fromkeys(_title(found) for found in warnings))
     outcomes = [v.outcome for v in verdicts]
     n = len(verdicts)
     if Outcome.FAIL in outcomes:
         level, sentence = "bad", f"Not good enough: {_count(outcomes.count(Outcome.FAIL), n)} not met."
     elif is_grave:
-        level, sentence = "bad", f"Do not rely on this rig yet: {_lower(_title(warnings[0]))}."
+        level, sentence, titles = "bad", f"Do not rely on this rig yet: {_lower(titles[0])}.", titles[1:]
     elif Outcome.UNDECIDED in outcomes:
         level = "care"
         sentence = f"Not proven to be good enough: {_count(outcomes.count(Outcome.UNDECIDED), n)} undecided."
     elif warnings:
         level = "care"
         met = f"all {n} needs are met" if n > 1 else "the need is met" if n else ""
-        many = f"{len(warnings)} warnings" if len(warnings) > 1 else _lower(_title(warnings[0]))
+        many = f"{len(titles)} warnings" if len(titles) > 1 else _lower(titles[0])
+        titles = titles if len(titles) > 1 else []
         sentence = f"Use with care: {met + ', but ' if met else ''}{many}."
     else:
         level = "good"
@@ -71,7 +71,9 @@ def headline_of(
             else "No fault found"
         )
         sentence = f"{met}."
-    return Headline(level, sentence, tuple(points))
+    needs = [v.sentence for v in sorted(verdicts, key=_order)]
+    points = [_closed(point) for point in [*needs, *titles][:MOST_POINTS]]
+    return Headline(level, sentence, (*points, depth) if depth else tuple(points))
 
 
 def depth_sentence(calibration: StereoCalibration, at_boards: RangeMap | None) -> str:
@@ -82,9 +84,14 @@ def depth_sentence(calibration: StereoCalibration, at_boards: RangeMap | None) -
     relative = COVERAGE * 100 * at_boards.depth.calibration_m / at_boards.depth.depth_m
     middle, worst = float(relative[at_boards.field.middle]), float(np.nanmax(relative))
     return (
-        f"At {at_boards.field.depth_m:.3g} {unit}, where the boards were, the calibration leaves depth uncertain by {middle:.2g} % in "
-        f"the middle of the common view and by {worst:.2g} % at its worst place (95 %)."
+        f"At {at_boards.field.depth_m:.3g} {unit}, where the boards were, the calibration leaves depth uncertain by {two_digits(middle)} % in "
+        f"the middle of the common view and by {two_digits(worst)} % at its worst place (95 %)."
     )
+
+
+def two_digits(value: float) -> str:
+    """A number to two digits, without a power of ten where it is large."""
+    return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"
 
 
 def _order(verdict: Verdict) -> int:

@@ -6,15 +6,37 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy import ndarray
 
+from binocal.cameras import StereoRig
+from binocal.planning import ViewPlan
+from binocal.report.axes import image_axes
 from binocal.report.corner_figures import SIDES
-from binocal.report.scene import RigScene
+from binocal.report.scene import RigScene, board_corners
 from binocal.report.svg import FAINT, GOOD, Tip
+from binocal.shapes import Float
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LENGTH_SCALE = {"x": 0, "y": 1, "z": 2}
+
+
+def draw_plan(axes: Axes, plan: ViewPlan, points_m: Float[ndarray, "n 3"], rig: StereoRig) -> Sequence[Tip]:
+    """Outlines of the boards to show next, in the left image, numbered in the order in which they help."""
+    image_axes(axes, rig.left.size_wh, "left image")
+    corners = board_corners(points_m)
+    edge = np.concatenate([np.linspace(corners[i], corners[(i + 1) % 4], 6)[:-1] for i in range(4)])
+    unit, factor = rig.printed_unit
+    tips = []
+    for number, view in enumerate(plan.views, start=1):
+        px = rig.left.project(view.T_left_board.apply(np.concatenate([edge, edge[:1]])))
+        axes.plot(px[:, 0], px[:, 1], color=GOOD, linewidth=1.2)
+        axes.text(px[0, 0], px[0, 1], f"{number}", color=GOOD, fontsize=9, ha="right", va="bottom", clip_on=True)
+        away = f", {view.away} side farther" if view.away else ""
+        text = f"view {number}: {factor * view.distance_m:.3g} {unit} away, tilted by {view.tilt_deg:.0f} deg{away}"
+        tips.append(Tip(*view.left_px, text))
+    return tips
 
 
 def draw_rig(axes: Axes, scene: RigScene, seen_from: str = "above") -> Sequence[Tip]:

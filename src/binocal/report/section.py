@@ -49,4 +49,5 @@ class Section:
     tables: tuple[Table, ...] = ()
     notices: tuple[Notice, ...] = ()
     texts: tuple[str, ...] = ()
+    steps: tuple[str, ...] = ()
     scene: RigScene | None = None

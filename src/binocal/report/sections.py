@@ -12,6 +12,7 @@ from binocal.findings import KINDS, Finding, Severity
 from binocal.report.contents import ReportContents
 from binocal.report.corner_sections import coverage_section, residual_section
 from binocal.report.headline import GRAVE
+from binocal.report.plan_sections import next_section, plan_section
 from binocal.report.rig_sections import rig_section
 from binocal.report.section import Notice, Section, Table
 from binocal.report.sigma_sections import depth_section, projection_section
@@ -29,6 +30,7 @@ _WORDS = {
 def sections_of(contents: ReportContents) -> tuple[Section, ...]:
     """Those that have something to show."""
     made = (
+        next_section(contents),
         key_section(contents),
         finding_section(contents),
         rig_section(contents),
@@ -36,6 +38,7 @@ def sections_of(contents: ReportContents) -> tuple[Section, ...]:
         residual_section(contents),
         projection_section(contents),
         depth_section(contents),
+        plan_section(contents),
         repeat_section(contents),
     )
     return tuple(section for section in made if section is not None)

@@ -7,6 +7,7 @@ import numpy as np
 from binocal.report import sigma_figures
 from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
+from binocal.report.headline import two_digits
 from binocal.report.section import Picture, Section, Table
 from binocal.report.svg import WIDTH_INCHES, figure_svg
 from binocal.requirements.figures import COVERAGE
@@ -100,8 +101,8 @@ def depth_section(contents: ReportContents) -> Section | None:
         rows.append(
             (
                 f"{m.field.depth_m:.3g} {unit}",
-                *(f"{value:.2g} %" for value in percent),
-                f"{COVERAGE * float(row):.2g} px" if np.isfinite(row) else "unknown",
+                *(f"{two_digits(value)} %" for value in percent),
+                f"{two_digits(COVERAGE * float(row))} px" if np.isfinite(row) else "unknown",
             )
         )
     head = ("range", "calibration", "matching", "all", "all, worst place", "row error")
