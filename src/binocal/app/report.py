@@ -10,6 +10,7 @@ import numpy as np
 
 from binocal.app.corners import find_corners
 from binocal.app.needs import NeedReport, judge_calibration
+from binocal.app.report_images import report_images
 from binocal.app.uncertainty import tell_uncertainty
 from binocal.boards import Board, parse_board
 from binocal.errors import BinocalError, DataError
@@ -42,9 +43,9 @@ NO_CORNERS = (
 class ReportRequest:
     """What the report is made from, besides the rig.
 
-    ``evidence`` are the corners that ``binocal calibrate --evidence`` kept; without them, and without images, a file of corners that
-    lies beside the rig and is of it is used. ``left`` and ``right`` are its images; ``board`` is by default the board that the rig
-    names.
+    ``evidence`` are the corners that ``binocal calibrate --evidence`` kept; without them, a file of corners that lies beside the rig
+    and is of it is used, and without that, the board is found again in the images, ``left`` and ``right``, which are shown. ``board``
+    is by default the one that the rig names.
     """
 
     evidence: Path | None = None
@@ -104,6 +105,10 @@ def make_report(
     validation = validate(calibration)
     at_boards, ranges, projection, more = _uncertainty(calibration)
     checks = overview(calibration, validation)
+    images, rectified = (), None
+    if request.left is not None and request.right is not None:
+        images, rectified, said = report_images(calibration, request.left, request.right, progress)
+        more = (*more, *said)
     contents = ReportContents(
         name=rig.name,
         calibration=calibration,
@@ -119,6 +124,8 @@ def make_report(
         notes=(*notes, *more),
         commands=_commands(calibration, rig, request),
         board=board,
+        images=images,
+        rectified=rectified,
     )
     headline = headline_of(calibration, contents.findings, needs.verdicts, at_boards)
     return ReportRun(report_page(contents, headline), headline, needs, contents.notes)
@@ -143,17 +150,17 @@ def _with_corners(
     if request.evidence is not None:
         detections = read_detections(request.evidence)
         return calibration.with_evidence(detections), detections, ()
-    if request.left is not None and request.right is not None:
-        if board is None:
-            raise DataError(f"{rig} does not name the board; give it with --board.")
-        detections = find_corners(request.left, request.right, board, False, progress, None).detections
-        return calibration.with_evidence(detections), detections, ()
     for path in sorted(rig.parent.glob("*.npz"))[:MOST_FILES_TRIED]:
         with contextlib.suppress(BinocalError, ValueError):
             if is_detections_file(path):
                 detections = read_detections(path)
                 return calibration.with_evidence(detections), detections, ()
-    return calibration, None, (NO_CORNERS,)
+    if request.left is None or request.right is None:
+        return calibration, None, (NO_CORNERS,)
+    if board is None:
+        raise DataError(f"{rig} does not name the board; give it with --board.")
+    detections = find_corners(request.left, request.right, board, False, progress, None).detections
+    return calibration.with_evidence(detections), detections, ()
 
 
 def _uncertainty(

@@ -18,12 +18,42 @@ from binocal.validation import CheckLine, ValidationReport
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ViewImages:
+    """A pair of images, small, as JPEG files; ``sizes_wh`` are those of the images themselves (left, right)."""
+
+    name: str
+    left_jpeg: bytes
+    right_jpeg: bytes
+    sizes_wh: tuple[tuple[int, int], tuple[int, int]]
+
+
+@dataclass(frozen=True, slots=True)
+class RectifiedImages:
+    """A pair of a view before and after rectification, side by side with lines along rows, and its depth; JPEG files.
+
+    ``projection`` is that of the rectified images, ``measured`` the share of the left one that has a depth, between ``near`` and
+    ``far``.
+    """
+
+    name: str
+    before_jpeg: bytes
+    after_jpeg: bytes
+    depth_jpeg: bytes
+    projection: str
+    is_vertical: bool
+    measured: float
+    near: float
+    far: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ReportContents:
     """A calibration, and what was computed from it.
 
     ``name`` is what the rig is called, ``detections`` all corners as detected, those of rejected views too (None: not at hand).
     ``ranges`` are maps of depth at rising ranges, ``at_boards`` the one at the boards' distance; ``projection`` those of both cameras.
-    ``board`` is the one of the plans. ``notes`` say what could not be shown, and why. ``commands`` repeat calibration and report.
+    ``board`` is the one of the plans. ``images`` are small pairs of views, ``rectified`` one of them brought to common rows.
+    ``notes`` say what could not be shown, and why. ``commands`` repeat calibration and report.
     """
 
     name: str
@@ -40,6 +70,8 @@ class ReportContents:
     notes: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
     board: Board | None = None
+    images: tuple[ViewImages, ...] = ()
+    rectified: RectifiedImages | None = None
 
     @property
     def board_points_m(self) -> Float[ndarray, "n 3"] | None:

@@ -39,6 +39,25 @@ class Notice:
 
 
 @dataclass(frozen=True, slots=True)
+class Photo:
+    """An image (a data address), what it shows in words, and what stands below it."""
+
+    source: str
+    alt: str
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class ViewCard:
+    """A view's pair of images: for each side its image (a data address), its size, corners as an SVG path, and outliers."""
+
+    name: str
+    text: str
+    is_used: bool
+    sides: tuple[tuple[str, str, tuple[int, int], str, tuple[tuple[int, int], ...]], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Section:
     """One section; ``anchor`` is its id in the page."""
 
@@ -50,4 +69,6 @@ class Section:
     notices: tuple[Notice, ...] = ()
     texts: tuple[str, ...] = ()
     steps: tuple[str, ...] = ()
+    photos: tuple[Photo, ...] = ()
+    cards: tuple[ViewCard, ...] = ()
     scene: RigScene | None = None

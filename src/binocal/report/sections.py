@@ -12,6 +12,7 @@ from binocal.findings import KINDS, Finding, Severity
 from binocal.report.contents import ReportContents
 from binocal.report.corner_sections import coverage_section, residual_section
 from binocal.report.headline import GRAVE
+from binocal.report.image_sections import rectified_section, view_section
 from binocal.report.plan_sections import next_section, plan_section
 from binocal.report.rig_sections import rig_section
 from binocal.report.section import Notice, Section, Table
@@ -39,6 +40,8 @@ def sections_of(contents: ReportContents) -> tuple[Section, ...]:
         projection_section(contents),
         depth_section(contents),
         plan_section(contents),
+        rectified_section(contents),
+        view_section(contents),
         repeat_section(contents),
     )
     return tuple(section for section in made if section is not None)
