@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import ndarray
 
-from binocal.report.axes import draw_dots, draw_strokes, image_axes
+from binocal.report.axes import draw_dots, draw_map, draw_strokes, image_axes
 from binocal.report.svg import FAINT, LEFT, RIGHT, WARN, Tip
 from binocal.shapes import Float
+from binocal.validation import SmoothedResiduals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,6 +71,43 @@ def draw_residuals(
     ]
 
 
+def draw_smoothed(axes: Axes, smoothed: SmoothedResiduals, size_wh: tuple[int, int], side: str) -> Sequence[Tip]:
+    """What residuals of one camera have in common over its image: their mean's length by colour, its direction by arrows."""
+    image_axes(axes, size_wh, f"{side} camera: mean residual")
+    tips = draw_map(axes, smoothed.px, np.linalg.norm(smoothed.mean_px, axis=-1), "px")
+    known = np.isfinite(smoothed.sigma_px)
+    if known.any():
+        start, off = smoothed.px[known], smoothed.mean_px[known]
+        draw_strokes(axes, start, start + enlargement(off, size_wh) * off, "white", width=0.9)
+    return tips
+
+
+def draw_board_points(
+    axes: Axes, points_m: Float[ndarray, "n 3"], by_point_px: Float[ndarray, "n 4"], unit: tuple[str, float]
+) -> Sequence[Tip]:
+    """The mean residual of every board point over all views, in both cameras, as arrows on the board; ``unit`` prints lengths."""
+    xy = unit[1] * points_m[:, :2]
+    axes.set(xlabel=f"x ({unit[0]})", ylabel=f"y ({unit[0]})")
+    axes.set_aspect("equal", adjustable="datalim")
+    usual = np.nanquantile(np.abs(by_point_px), 0.95) if np.isfinite(by_point_px).any() else 0.0
+    apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
+    spacing = float(apart[apart > 0].min(initial=np.inf))
+    factor = 0.6 * spacing / usual if usual > 0 and np.isfinite(spacing) else 1.0
+    draw_dots(axes, xy, FAINT, size=2.0)
+    tips = []
+    for side, columns in (("left", slice(0, 2)), ("right", slice(2, 4))):
+        off = by_point_px[:, columns]
+        known = np.isfinite(off).all(axis=-1)
+        draw_strokes(axes, xy[known], xy[known] + factor * off[known], SIDES[side], width=1.1, label=side)
+    for (x, y), (a, b, c, d) in zip(xy.tolist(), by_point_px.tolist(), strict=True):
+        tips.append(Tip(x, y, f"left ({a:+.3f}, {b:+.3f}) px, right ({c:+.3f}, {d:+.3f}) px"))
+    axes.invert_yaxis()
+    axes.set_title(f"Mean residual by board point (95 % below {usual:.2g} px)")
+    axes.margins(0.12)
+    axes.legend(loc="lower right", ncols=2)
+    return tips
+
+
 def enlargement(off: Float[ndarray, "n 2"], size_wh: tuple[int, int]) -> float:
     """A round factor by which arrows are long enough to be seen: all but one in twenty stay below a share of the diagonal."""
     usual = float(np.quantile(np.linalg.norm(off, axis=-1), 0.95))
@@ -90,6 +128,10 @@ def draw_views(axes: Axes, names: Sequence[str], left_px: Sequence[float], right
     top = np.nanmax([*left_px, *right_px], initial=0.0)
     axes.set_ylim(0, 1.25 * top if top > 0 else 1.0)
     return [
-        Tip(x, max(np.nan_to_num([a, b])), f"view {name}: left {a:.3f} px, right {b:.3f} px")
+        Tip(x, max(np.nan_to_num([a, b])), f"view {name}: left {_px(a)}, right {_px(b)}")
         for x, name, a, b in zip(place, names, left_px, right_px, strict=True)
     ]
+
+
+def _px(value: float) -> str:
+    return f"{value:.3f} px" if np.isfinite(value) else "not seen"

@@ -9,7 +9,7 @@ from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
 from binocal.report.section import Picture, Section
 from binocal.report.svg import WIDTH_INCHES, figure_svg
-from binocal.validation.residuals import corner_residuals, solved_detections
+from binocal.validation.residuals import corner_residuals, smooth_residuals, solved_detections
 
 
 def coverage_section(contents: ReportContents) -> Section | None:
@@ -42,7 +42,7 @@ def residual_section(contents: ReportContents) -> Section | None:
     if calibration.evidence is None:
         return None
     detections = solved_detections(calibration)
-    pictures = []
+    pictures, smooth = [], []
     for side, residuals in zip(("left", "right"), corner_residuals(calibration), strict=True):
         px, size_wh = getattr(detections, f"{side}_px"), getattr(detections, f"{side}_size_wh")
         figure = figure_svg(
@@ -55,6 +55,35 @@ def residual_section(contents: ReportContents) -> Section | None:
         )
         rms = getattr(calibration.rms, f"{side}_px")
         pictures.append(Picture(figure, f"RMS {rms:.3f} px in the {side} image."))
+        smoothed = smooth_residuals(px, residuals, size_wh)
+        figure = figure_svg(
+            lambda axes, m=smoothed, size=size_wh, side=side: corner_figures.draw_smoothed(axes, m, size, side),
+            name=f"smoothed-{side}",
+            title=f"Mean residual over the image of the {side} camera",
+            height=image_height(size_wh, WIDTH_INCHES),
+        )
+        usual = (
+            float(np.sqrt(np.nanmean(smoothed.sigma_px**2))) if np.isfinite(smoothed.sigma_px).any() else float("nan")
+        )
+        pictures.append(
+            Picture(
+                figure, f"What neighbouring corners have in common; {usual:.2g} px would be left of independent ones."
+            )
+        )
+    pictures += smooth
+    white = contents.validation.whiteness
+    if white is not None:
+        points_m, unit = detections.object_points_m, calibration.rig.printed_unit
+        figure = figure_svg(
+            lambda axes: corner_figures.draw_board_points(axes, points_m, white.by_point_px, unit),
+            name="residuals-points",
+            title="Mean residual of every board point in both cameras",
+        )
+        caption = (
+            f"Neighbours correlate by {white.correlation:+.2f} ± {white.sigma:.2f}: {white.common_px:.2g} px in common; 0 where residuals "
+            "are white."
+        )
+        pictures.append(Picture(figure, caption))
     views = calibration.views
     along = figure_svg(
         lambda axes: corner_figures.draw_views(

@@ -10,10 +10,11 @@ from numpy import ndarray
 
 from binocal.cameras import StereoRig
 from binocal.planning import ViewPlan
-from binocal.report.axes import image_axes
+from binocal.report.axes import draw_dots, image_axes
 from binocal.report.corner_figures import SIDES
 from binocal.report.scene import RigScene, board_corners
-from binocal.report.svg import FAINT, GOOD, Tip
+from binocal.report.svg import FAINT, GOOD, MAP_COLOURS, Tip
+from binocal.result import BoardShape
 from binocal.shapes import Float
 
 if TYPE_CHECKING:
@@ -68,3 +69,22 @@ def draw_rig(axes: Axes, scene: RigScene, seen_from: str = "above") -> Sequence[
         axes.invert_yaxis()
     axes.legend(loc="best")
     return tips
+
+
+def draw_board(axes: Axes, shape: BoardShape, unit: tuple[str, float]) -> Sequence[Tip]:
+    """The board's height above its mean plane over its points; ``unit`` prints lengths, z is away from the cameras."""
+    points = unit[1] * shape.points_m
+    height = points[:, 2] - points[:, 2].mean()
+    axes.set(title=f"Height above the mean plane ({unit[0]})", xlabel=f"x ({unit[0]})", ylabel=f"y ({unit[0]})")
+    axes.set_aspect("equal", adjustable="datalim")
+    if len(points) >= 4 and np.ptp(height) > 0:
+        drawn = axes.tricontourf(points[:, 0], points[:, 1], height, levels=9, cmap=MAP_COLOURS)
+        bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
+        bar.outline.set_visible(False)
+    draw_dots(axes, points[:, :2], FAINT, size=2.0)
+    axes.invert_yaxis()
+    sigma = unit[1] * shape.sigma_m[:, 2]
+    return [
+        Tip(x, y, f"{h:+.3g} ± {s:.2g} {unit[0]}")
+        for (x, y, _), h, s in zip(points.tolist(), height.tolist(), sigma.tolist(), strict=True)
+    ]

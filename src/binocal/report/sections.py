@@ -14,7 +14,7 @@ from binocal.report.corner_sections import coverage_section, residual_section
 from binocal.report.headline import GRAVE
 from binocal.report.image_sections import rectified_section, view_section
 from binocal.report.plan_sections import next_section, plan_section
-from binocal.report.rig_sections import rig_section
+from binocal.report.rig_sections import board_section, rig_section
 from binocal.report.section import Notice, Section, Table
 from binocal.report.sigma_sections import depth_section, projection_section
 from binocal.requirements import Outcome, Verdict
@@ -35,6 +35,7 @@ def sections_of(contents: ReportContents) -> tuple[Section, ...]:
         key_section(contents),
         finding_section(contents),
         rig_section(contents),
+        board_section(contents),
         coverage_section(contents),
         residual_section(contents),
         projection_section(contents),
