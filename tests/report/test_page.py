@@ -7,8 +7,10 @@ import hashlib
 import html
 import json
 import re
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ from binocal.errors import DataError
 from binocal.findings import finding
 from binocal.formats.detections_npz import write_detections
 from binocal.formats.rig_json import read_calibration, write_calibration
+from binocal.report import printing
 from binocal.report.headline import headline_of
 from binocal.report.svg import figure_svg, themed
 from binocal.requirements import parse_requirement
@@ -200,6 +203,29 @@ def test_the_verb_prints_the_verdict(folder, tmp_path, capsys, undrawn):
     assert "Verdict  Not good enough" in capsys.readouterr().out
     with pytest.raises(DataError, match="exists already"):
         write_report(folder / "rig.json", tmp_path / "r.html")
+
+
+def test_the_page_is_printed(folder, tmp_path, monkeypatch, undrawn):
+    output, pdf = tmp_path / "r.html", tmp_path / "r.pdf"
+    monkeypatch.setattr(printing.shutil, "which", lambda name: None)
+    monkeypatch.setattr(printing, "PLACES", ())
+    arguments = ["report", str(folder / "rig.json"), "--output", str(output), "--pdf"]
+    assert main(arguments) == 3 and not output.exists()
+    asked = []
+
+    def run(command, **options):
+        asked.append(command)
+        place = next(part.partition("=")[2] for part in command if part.startswith("--print-to-pdf="))
+        Path(place).write_bytes(b"%PDF-1.7 made up")
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(printing.shutil, "which", lambda name: f"/opt/{name}" if name == "google-chrome" else None)
+    monkeypatch.setattr(printing.subprocess, "run", run)
+    assert main(arguments) == 0 and pdf.read_bytes() == b"%PDF-1.7 made up"
+    assert asked[0][0] == "/opt/google-chrome" and asked[0][-1].startswith("file://")
+    monkeypatch.setattr(printing.subprocess, "run", lambda command, **options: subprocess.CompletedProcess(command, 7))
+    assert main([*arguments, "--force"]) == 1 and pdf.read_bytes() == b"%PDF-1.7 made up"
+    assert main(["report", str(folder / "rig.json"), "--output", str(pdf), "--pdf", "--force"]) == 2
 
 
 def test_a_figure_has_no_style_and_ids_of_its_own():

@@ -17,12 +17,13 @@ from binocal.errors import BinocalError, DataError
 from binocal.evidence import Detections
 from binocal.formats.detections_npz import is_detections_file, read_detections
 from binocal.formats.rig_json import holds_calibration, read_calibration
-from binocal.output import check_output, write_aside
+from binocal.output import check_output, write_together
 from binocal.planning import ViewPlan, plan_views
 from binocal.progress import ProgressCallback
 from binocal.report.contents import ReportContents
 from binocal.report.headline import Headline, headline_of
 from binocal.report.page import report_page
+from binocal.report.printing import find_browser, page_as_pdf
 from binocal.requirements import Requirement, parse_requirement
 from binocal.requirements.figures import usual_range
 from binocal.result import StereoCalibration
@@ -70,23 +71,31 @@ def write_report(
     output: Path,
     request: ReportRequest | None = None,
     *,
+    pdf: Path | None = None,
     force: bool = False,
     progress: ProgressCallback | None = None,
 ) -> ReportRun:
-    """Make the report of a ``rig.json`` and write it.
+    """Make the report of a ``rig.json`` and write it, printed as ``pdf`` too where that is named.
 
     Raises:
         FormatError: The rig or the corners cannot be read.
-        DataError: The corners or images are not those of this rig, a need is in another unit, or the output cannot be written.
+        DataError: The corners or images are not those of this rig, a need is in another unit, no browser is there to print a PDF, or
+            the output cannot be written.
         MissingExtraError: Jinja or Matplotlib is not installed.
     """
-    check_output(output, force=force)
+    browser = "" if pdf is None else find_browser()
+    for path in (output, pdf):
+        if path is not None:
+            check_output(path, force=force)
     if not holds_calibration(rig):
         raise DataError(
             f"{rig}: holds no calibration of binocal's; a report needs the rig.json that `binocal calibrate` wrote."
         )
     run = make_report(read_calibration(rig), rig, request, progress=progress)
-    write_aside(output, run.page, force=force)
+    contents: dict[str | Path, str | bytes] = {output: run.page}
+    if pdf is not None:
+        contents[pdf] = page_as_pdf(run.page, browser)
+    write_together(contents, force=force)
     return run
 
 

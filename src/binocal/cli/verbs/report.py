@@ -36,6 +36,9 @@ def report(
         str | None, typer.Option("--board", help=f"{BOARD_HELP} By default the one that the rig names.", metavar="SPEC")
     ] = None,
     require: Needs = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Also print it to a PDF beside the page, by Chromium, Chrome or Edge.")
+    ] = False,
     threads: Threads = None,
     force: Force = False,
     json: Json = False,
@@ -50,11 +53,15 @@ def report(
         raise typer.BadParameter("give both --left and --right, or neither.")
     needs = parse_needs(require, is_metric=None)
     parsed = None if board is None else parse_board(board)
+    printed = output.with_suffix(".pdf") if pdf else None
+    if printed == output:
+        raise typer.BadParameter(f"--output {output} is the page, HTML; --pdf prints it beside: name it report.html.")
     request = ReportRequest(evidence, left, right, parsed, needs)
     with progress_on_terminal() as progress:
-        run = write_report(rig, output, request, force=force, progress=progress)
+        run = write_report(rig, output, request, pdf=printed, force=force, progress=progress)
     document = {
         "output": str(output),
+        "pdf": None if printed is None else str(printed),
         "level": run.headline.level,
         "verdict": run.headline.sentence,
         "points": run.headline.points,
@@ -66,5 +73,5 @@ def report(
     if needs:
         lines += needs_text(run.needs, rig_json.read_rig(rig).printed_unit)
     lines += [f"note: {one_line(note)}" for note in run.notes]
-    present(document, "\n".join([*lines, f"Wrote    {output}"]), json)
+    present(document, "\n".join([*lines, f"Wrote    {output}{f' and {printed}' if printed else ''}"]), json)
     return FINE if run.needs.is_met else BELOW_QUALITY
