@@ -61,7 +61,7 @@ def test_numbers_of_threads_are_bounded(value, capsys):
         ("--noise", "-1", "'-1' is below 0"),
         ("--blur", "250.5", "'250.5' is above 100"),
         ("--pairs", "2.5", "'2.5' is not a whole number"),
-        ("--seed", "9" * 6000, "9…' is not a whole number"),
+        ("--seed", "9" * 6000, "9' is not a whole number"),
     ],
 )
 def test_a_wrong_number_is_answered_with_what_was_typed(option, value, said, capsys):
@@ -109,6 +109,11 @@ def test_patterns_that_the_shell_expanded_are_named(tmp_path, capsys):
     expanded = [given[0], *sorted(str(path) for path in tmp_path.glob("left_*")), *given[2:]]
     assert main(["calibrate", *expanded, "--output", str(tmp_path / "rig.json")]) == 2
     assert "put patterns in quotes: --left 'left_*.png'" in capsys.readouterr().err
+    (tmp_path / "of a rig.png").touch()
+    many = [str(tmp_path / "of a rig.png"), *(f"left_{k:04}.png" for k in range(400))]
+    assert main(["calibrate", *given, *many]) == 2
+    line = capsys.readouterr().err
+    assert "of a rig.png' and others; put patterns in quotes" in line and len(line) < 300
     assert main(["calibrate", *given, "no-such-file", "--output", str(tmp_path / "rig.json")]) == 2
     assert "quotes" not in capsys.readouterr().err
 

@@ -9,6 +9,7 @@ from typing import Any
 from binocal.input_file import exists
 
 LONGEST_QUOTE = 60
+MOST_WORDS = 8
 
 
 def usage_message(error: Any) -> str:
@@ -18,15 +19,15 @@ def usage_message(error: Any) -> str:
         head, colon, _ = message.partition(": ")
         message = f"{head}{colon}{sentence}"
     message = message.replace("Input should be", "it must be").rstrip(". ")
-    if extra := re.match(r"Got unexpected extra arguments? ?(\(s\))? ?\((?P<first>[^\s)]+)", message):
-        message += _about_patterns(extra["first"])
+    if extra := re.match(r"Got unexpected extra arguments? ?(?:\(s\))? ?\((?P<all>.*)\)$", message, re.DOTALL):
+        message = _about_extra(extra["all"])
     return message
 
 
 def quoted(value: object) -> str:
     """What was typed, in quotes, cut where it is long."""
     text = str(value)
-    return repr(text if len(text) <= LONGEST_QUOTE else f"{text[:LONGEST_QUOTE]}…")
+    return repr(text if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE // 2]}…{text[-LONGEST_QUOTE // 2 :]}")
 
 
 def _about_number(error: Any) -> str | None:
@@ -54,6 +55,12 @@ def _is_finite(typed: object) -> bool:
         return True  # no number that float reads: another sentence's matter
 
 
-def _about_patterns(argument: str) -> str:
-    """What an argument too many most often comes from, where it is a file: a pattern that the shell has expanded."""
-    return "; put patterns in quotes: --left 'left_*.png'" if exists(argument) else ""
+def _about_extra(arguments: str) -> str:
+    """Arguments too many: where the first is a file, it most often comes from a pattern that the shell has expanded."""
+    words = arguments.split(" ")
+    beginnings = [" ".join(words[:n]) for n in range(1, min(len(words), MOST_WORDS) + 1)]  # names may hold spaces
+    file = next((name for name in beginnings if exists(name)), None)
+    first = file or words[0]
+    others = " and others" if len(first) < len(arguments) else ""
+    advice = "; put patterns in quotes: --left 'left_*.png'" if file else ""
+    return f"Got unexpected extra arguments: {quoted(first)}{others}{advice}"
