@@ -17,6 +17,8 @@ from binocal.metrics.image_mixups import find_mixup
 from binocal.metrics.order import order_corners
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 BOARD = parse_board("chessboard:9x6:30mm")
 RIG = table2_rig()
 LAST = np.array(RIG.left.size_wh) - 1.0
