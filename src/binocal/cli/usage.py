@@ -32,7 +32,7 @@ def quoted(value: object) -> str:
 
 def _about_number(error: Any) -> str | None:
     """What is wrong with the text of a number, as far as the validation behind the error (Pydantic's) tells."""
-    cause = getattr(error, "__cause__", None)
+    cause: Any = getattr(error, "__cause__", None)
     if not hasattr(cause, "errors"):
         return None
     first = cause.errors()[0]
