@@ -186,7 +186,8 @@ EXPLANATIONS = {
     "cameras-exchanged": """
         Seen from either camera, the one called right stands to the left. Nothing is wrong with the numbers; most stereo
         software expects the other order. Of a rig with one camera upside down or on its side this is not said: there the two
-        cameras see their order differently, and exchanging them would change nothing.""",
+        cameras see their order differently, and exchanging them would change nothing. Mirrored images of both cameras, as
+        some webcams give them, look the same: a chessboard is its own mirror image.""",
     "corner-orders-repaired": """
         A chessboard with an even and an odd number of squares has no upside-down, others have. The two cameras numbered the
         corners from different ends in most views; they were put into one order. A camera that is mounted upside down does so,
