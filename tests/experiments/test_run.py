@@ -2,46 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import pytest
 
-from binocal.errors import CancelledError, FormatError, SceneError
-from binocal.experiments.case import Case, Made, Result, Sample, results_of
+from binocal.errors import CancelledError, FormatError
+from binocal.experiments.case import Case, Result, results_of
 from binocal.experiments.journal import Journal
 from binocal.experiments.row import NAN, Measured
 from binocal.experiments.run import rows_of, run_cases
-from binocal.simulation import table2_rig
-
-
-@dataclass(frozen=True)
-class Fails:
-    """Fails with one seed, which is the sample's evidence."""
-
-    label: str = "fails"
-    seed: int = 1
-
-    def __call__(self, sample):
-        if sample.evidence == self.seed:
-            raise SceneError("not with\nthis one", 0, 1)
-        return (Made(table2_rig()),)
-
-
-@dataclass(frozen=True)
-class Several:
-    label: str = "several"
-
-    def __call__(self, sample):
-        return [Made(table2_rig()), Made(table2_rig())]
-
-
-def make(seed):
-    return Sample(seed, table2_rig())
-
-
-def measure(made, sample):
-    return [Measured("length", "mm", 10.0 + sample.evidence, 2.0), Measured("share", "%", 50.0, table="figure 6")]
-
+from small_cases import Fails, Several, make, measure
 
 CASES = [Case("one", make, measure, (Fails(), Several()), {"length": "9.1", ("several", "share"): 95.0}, "3")]
 SEEDS = (0, 1, 2)

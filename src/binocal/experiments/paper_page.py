@@ -1,0 +1,60 @@
+"""What the page of the paper's experiment says around its tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from binocal.experiments.options import ExperimentOptions
+from binocal.experiments.page import Figure, Page, Part
+from binocal.experiments.paper import CORRECT, LENGTH, left_out
+from binocal.experiments.row import Row
+from binocal.experiments.stability import SERIES, TABLE
+
+PARTS = (
+    Part(
+        "3",
+        "Table 3: calibration error",
+        "Lengths that the calibrated rig measures on the half of the views that no method saw. The relative length error is the scale of "
+        "the whole board minus one, RMS over the views: what calibration contributes. The error of a single square side is mostly the "
+        "noise of its two corners; that of the bound's row is all that noise leaves possible.",
+        (
+            Figure(LENGTH, "relative length error (%)", "Table 3: relative length error", "table-3.svg", is_log=True),
+        ),
+    ),
+    Part(
+        "figure 5",
+        "Figure 5: iterations to convergence",
+        "Iterations of each solver on the same corners, from the start that it makes for itself, to its own stop rule. The paper prints 30 "
+        "for its algorithm and 70 for the others. OpenCV does not say how many it takes.",
+        (Figure("iterations", "iterations", "Figure 5: iterations to convergence", "figure-5.svg", is_log=True),),
+    ),
+    Part(
+        "figure 6",
+        "Figure 6: parameters correct",
+        "The share of a rig's parameters within three standard deviations of the Cramér-Rao bound and within a tolerance: 1 % of focal "
+        "length and baseline, 1 % of the image's width for the principal point, 0.05 deg, 0.005 of a distortion coefficient.",
+        (Figure(CORRECT, "parameters correct (%)", "Figure 6: parameters correct", "figure-6.svg"),),
+    ),
+    Part(
+        TABLE,
+        "Figure 7: stability",
+        "The share of pairs of items that keep their order between two runs on different images, over all pairs of runs. The parameters "
+        "keep it. The sizes of their errors (in standard deviations of the bound) cannot where a method reaches the bound: they are noise "
+        "then, and the order of noise is chance, 50 %.",
+        (
+            Figure(SERIES["parameters"], "order kept (%)", "Figure 7: stability of the parameters", "figure-7.svg"),
+        ),
+    ),
+)  # fmt: skip
+
+
+def paper_page(options: ExperimentOptions, rows: Sequence[Row]) -> Page:
+    """The page of these rows."""
+    no_row = "; ".join(f"{name} {why}" for name, why in left_out().items())
+    text = (
+        f"{options.n_images} rendered images of each set over {options.n_seeds} seeds from {options.seed}: {options.n_pairs} pairs each, the "
+        "first half to calibrate from, the second to test on. Every method has the same corners. Medians over the seeds, least and "
+        "greatest in brackets; what was refused is counted.",
+        f"No row here: {no_row}. Every row, those of single parameters too, is in rows.csv and results.json.",
+    )
+    return Page("The paper's experiment", text, PARTS, tuple(rows))
