@@ -39,10 +39,14 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
-    """What a method made of a sample: a rig, and the whole calibration where the method is a calibrator."""
+    """What a method made of a sample: a rig, and the whole calibration where the method is a calibrator.
+
+    ``said`` are figures that the method tells of itself, by name, each with its unit.
+    """
 
     rig: StereoRig
     calibration: StereoCalibration | None = None
+    said: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
 
 @runtime_checkable

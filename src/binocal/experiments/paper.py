@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from binocal.experiments.boards import MODEL, RenderedBoards, board_errors
+from binocal.experiments.boards import MODEL, RenderedBoards, board_errors, nominal_rig
 from binocal.experiments.case import AtBound, ByCalibrator, Case, Method, PriorUnchanged, by_calibrator
+from binocal.experiments.guesses import AsPrinted, guess_cases
 from binocal.experiments.options import ExperimentOptions
 
 LENGTH = "relative length error"
@@ -28,9 +29,13 @@ def methods() -> tuple[Method, ...]:
 
     ``wide-field`` knows lenses of one kind only, and fits that one.
     """
+    baseline_m = nominal_rig().baseline_m
     boards = ("drl", "drl-increments", "lm", "opencv", "alternating", "absolute-orientation", "heterogeneous")
     return (
         *(by_calibrator(name) for name in boards),
+        ByCalibrator("from-guess", "from-guess", {"baseline_m": baseline_m}),
+        AsPrinted(),
+        ByCalibrator("lm from the guess", "from-guess", {"baseline_m": baseline_m, "agent": "lm"}),
         ByCalibrator("wide-field", "wide-field", choices={"model": "fisheye4"}),
         PriorUnchanged(),
         AtBound(),
@@ -63,4 +68,4 @@ def experiment_document(options: ExperimentOptions) -> dict[str, Any]:
 
 def cases_of(options: ExperimentOptions) -> Sequence[Case]:
     """All cases, in the order of the page."""
-    return board_cases(options)
+    return [*board_cases(options), *guess_cases(nominal_rig())]
