@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from binocal.images.png import encode_png
 from binocal.metrics import image
 from binocal.metrics.pose import compare_with_truth
 from binocal.simulation import PoseOptions, RenderOptions, StereoScene, render_pairs, sample_board_poses, table2_rig
+from binocal.simulation.printed_shape import draw_printed_shape
 from binocal.solvers.poses import estimate_board_poses
 
 MODEL = "brown4"  # the paper's: two radial and two tangential coefficients
@@ -40,24 +41,34 @@ class RenderedBoards:
 
     spec: str
     n_pairs: int
+    bow_m: float = 0.0
+    print_error_m: float = 0.0
 
     def __call__(self, seed: int) -> Sample:
-        """The corners of the first half to calibrate from, those of the second to measure lengths on."""
+        """The corners of the first half to calibrate from, those of the second to measure lengths on.
+
+        The board is given as it is drawn; lengths are compared with the board as it is.
+        """
         rng, rig, board = np.random.default_rng([seed, 3]), table2_rig(), parse_board(self.spec)
         scene = StereoScene(rig, board, sample_board_poses(rig, board, self.n_pairs, rng, PoseOptions(fill=FILL)))
-        corners = _found(scene, np.random.SeedSequence([seed, 4]))
+        looks, true_m = LOOKS, board.object_points_m
+        if self.bow_m or self.print_error_m:
+            shape = draw_printed_shape(board, rng, bow_m=self.bow_m, error_m=self.print_error_m)
+            looks, true_m = replace(LOOKS, shape=shape), shape.points_m(board)
+        corners = _found(scene, looks, np.random.SeedSequence([seed, 4]))
         place = np.array([int(name) for name in corners.names])
         first, second = (np.flatnonzero(part) for part in (place < self.n_pairs // 2, place >= self.n_pairs // 2))
         evidence = corners.select(first)
         bound = bound_of_corners(rig, evidence, scene.T_left_board[place[first]])
-        return Sample(evidence, rig, board, bound, {"model": MODEL}, corners.select(second), nominal_rig())
+        held_out = replace(corners.select(second), object_points_m=true_m)
+        return Sample(evidence, rig, board, bound, {"model": MODEL}, held_out, nominal_rig())
 
 
-def _found(scene: StereoScene, seed: np.random.SeedSequence) -> Detections:
+def _found(scene: StereoScene, looks: RenderOptions, seed: np.random.SeedSequence) -> Detections:
     """The corners in rendered images; a view's name is its place in the scene."""
     with tempfile.TemporaryDirectory(prefix="binocal-experiment-") as folder:
         pairs: dict[int, dict[str, Path]] = {}
-        for view, side, pixels in render_pairs(scene, (LOOKS, LOOKS), seed):
+        for view, side, pixels in render_pairs(scene, (looks, looks), seed):
             path = Path(folder) / f"{side}_{view:03d}.png"
             path.write_bytes(encode_png(pixels))
             pairs.setdefault(view, {})[side] = path

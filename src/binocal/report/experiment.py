@@ -10,7 +10,8 @@ import numpy as np
 
 from binocal.errors import MissingExtraError
 
-WIDTH_INCHES, ROW_INCHES, FRAME_INCHES = 8.0, 0.42, 1.35
+WIDTH_INCHES, FRAME_INCHES = 8.0, 1.35
+ROW_INCHES, CASE_INCHES = 0.18, 0.16  # of a method, and of each of its cases
 MARKS = (("o", "#0072b2"), ("s", "#d55e00"), ("^", "#4d4d4d"), ("v", "#56b4e9"), ("P", "#8c5a00"), ("X", "#999999"))
 """Shape and colour of each case: the shapes tell them apart in grey (colours of Okabe & Ito 2008 and greys)."""
 
@@ -44,10 +45,13 @@ def draw_spans(spans: Sequence[Span], axis: str, title: str, *, is_log: bool = F
         raise MissingExtraError("figures", "report") from error
 
     labels, cases = (list(dict.fromkeys(getattr(span, key) for span in spans)) for key in ("label", "case"))
-    figure = Figure(figsize=(WIDTH_INCHES, FRAME_INCHES + ROW_INCHES * len(labels)), layout="constrained")
+    figure = Figure(
+        figsize=(WIDTH_INCHES, FRAME_INCHES + len(labels) * (ROW_INCHES + CASE_INCHES * len(cases))),
+        layout="constrained",
+    )
     FigureCanvasSVG(figure)
     axes = figure.subplots()
-    offsets = np.linspace(-0.26, 0.26, len(cases)) if len(cases) > 1 else np.zeros(1)
+    offsets = 0.4 * (np.arange(len(cases)) * 2 - len(cases) + 1) / len(cases)
     for place, case in enumerate(cases):
         shape, colour = MARKS[place % len(MARKS)]
         some = [span for span in spans if span.case == case]
