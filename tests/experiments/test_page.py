@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
-import binocal.app  # noqa: F401 - loads the module that is patched
+from binocal.app import experiment_times
 from binocal.cli import main
 from binocal.experiments import boards, paper, stability
 from binocal.experiments.case import Case, Result, results_of
@@ -107,6 +107,7 @@ def small(monkeypatch):
     case = Case("one", counted, measure, (Fails(), Several()), {}, "3")
     monkeypatch.setattr(paper, "cases_of", lambda options: [case])
     monkeypatch.setattr(sys.modules["binocal.app.experiment"], "n_threads", lambda: 1)
+    monkeypatch.setattr(experiment_times, "timed_results", lambda options, has: iter(()))
     return made
 
 
@@ -121,7 +122,7 @@ def test_the_verb_writes_everything_once_and_goes_on_after_a_cut(small, tmp_path
         first["table"] == "3" and first["calibrator"] == "fails" and first["failures"] == 1 and first["median"] == 11.0
     )
     names = {path.name for path in output.iterdir()}
-    assert {"page.md", "page.html", "rows.csv", "results.json", "rows.jsonl"} <= names
+    assert {"page.md", "page.html", "times.md", "rows.csv", "results.json", "rows.jsonl"} <= names
     before = {name: (output / name).read_bytes() for name in names}
     assert main(arguments) == 3  # it is whole: nothing is overwritten
     assert "--force" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from binocal.output import check_output_folder, write_together
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.threads import n_threads
 
-JOURNAL, RESULTS = "rows.jsonl", "results.json"
+JOURNAL, RESULTS, TIMES = "rows.jsonl", "results.json", "times.md"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,15 +65,18 @@ def experiment(
         MissingExtraError: Matplotlib is not installed.
         CancelledError: ``should_stop`` returned True; the same call goes on.
     """
+    from binocal.app.experiment_times import MOST_TIMED, recordings_of, rows_of_timed, timed_results
     from binocal.experiments.journal import Journal
     from binocal.experiments.page import page_files
     from binocal.experiments.paper import cases_of, experiment_document
-    from binocal.experiments.paper_page import paper_page
+    from binocal.experiments.paper_page import paper_page, times_text
+    from binocal.experiments.real_boards import real_board_cases
     from binocal.experiments.run import rows_of, run_cases
     from binocal.experiments.stability import stability_rows
 
     options = options or ExperimentOptions()
     folder = check_experiment_folder(output, force=force)
+    real = [] if options.measured is None else real_board_cases(recordings_of(options.measured))
     was_resumed = _is_cut(folder) and not force
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -82,16 +85,24 @@ def experiment(
             (folder / RESULTS).unlink(missing_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: the output's folder cannot be made: {error.strerror}.") from None
-    cases, seeds = cases_of(options), options.seeds
+    cases, seeds = [*cases_of(options), *real], options.seeds
     journal = Journal(folder / JOURNAL, experiment_document(options) | {"binocal": __version__})
     try:
         results = run_cases(
             cases, seeds, journal=journal, workers=n_threads(), progress=progress, should_stop=should_stop
         )
+        for count, timed in enumerate(timed_results(options, lambda case, name: journal.has(case, name, options.seed))):
+            journal.add(timed)
+            if progress is not None:
+                progress("times", count + 1, MOST_TIMED)
+        timed_rows = rows_of_timed(options, journal.results)
     finally:
         journal.close()
-    rows = [*rows_of(cases, seeds, results), *stability_rows(cases, seeds, results)]
+    rows = [*rows_of(cases, seeds, results), *stability_rows(cases, seeds, results), *timed_rows]
     run = ExperimentRun(rows, folder, was_resumed)
-    files = page_files(paper_page(options, rows)) | {RESULTS: dump_json(jsonable(run.document()))}
+    files = page_files(paper_page(options, rows)) | {
+        TIMES: times_text(rows),
+        RESULTS: dump_json(jsonable(run.document())),
+    }
     write_together({folder / name: content for name, content in files.items()}, force=True)
     return run

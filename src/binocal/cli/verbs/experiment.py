@@ -24,6 +24,17 @@ def experiment(
     seeds: Annotated[
         int | None, typer.Option("--seeds", help="Seeds, each with images of its own (default 10).", metavar="N", min=1)
     ] = None,
+    kitti: Annotated[
+        Path | None, typer.Option("--kitti", help="Real streets in KITTI's layout.", metavar="DIR", exists=True)
+    ] = None,
+    cityscapes: Annotated[
+        Path | None,
+        typer.Option("--cityscapes", help="Real streets in Cityscapes' layout.", metavar="DIR", exists=True),
+    ] = None,
+    measured: Annotated[
+        Path | None,
+        typer.Option("--measured", help="Real recordings of boards, as for `bench real`.", metavar="DIR", exists=True),
+    ] = None,
     seed: Seed = 0,
     threads: Threads = None,
     force: Force = False,
@@ -35,13 +46,16 @@ def experiment(
     from binocal.experiments.options import QUICK_IMAGES, QUICK_SEEDS, ExperimentOptions
 
     default = (QUICK_IMAGES, QUICK_SEEDS) if quick else (1000, 10)
+    given = (None if folder is None else str(folder) for folder in (kitti, cityscapes, measured))
     try:
-        options = ExperimentOptions(images or default[0], seeds or default[1], seed)
+        options = ExperimentOptions(images or default[0], seeds or default[1], seed, quick, *given)
     except ValueError as error:
         raise typer.BadParameter(f"{error}.") from None
     verbs.check_experiment_folder(output, force=force)
     with progress_on_terminal() as progress:
         run = verbs.experiment(output, options, force=force, progress=progress)
     went_on = "Went on with the experiment that was cut here.\n" if run.was_resumed else ""
-    present(run.document(), f"{went_on}Wrote {output / 'page.html'}, page.md, rows.csv and results.json", json)
+    present(
+        run.document(), f"{went_on}Wrote {output / 'page.html'}, page.md, times.md, rows.csv and results.json", json
+    )
     return FINE
