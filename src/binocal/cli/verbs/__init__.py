@@ -6,7 +6,19 @@ The modules' order is that of the help.
 from __future__ import annotations
 
 # isort: off
-from binocal.cli.verbs import demo, calibrate, simulate, evaluate, rectified, natural, train, experiment, bench  # noqa: F401 - each adds its own
+# each adds its own to the app
+from binocal.cli.verbs import (
+    demo,
+    calibrate,
+    simulate,
+    evaluate,
+    channels,
+    rectified,
+    natural,
+    train,
+    experiment,
+    bench,
+)  # noqa: F401
 from binocal.cli.options import app
 
 # isort: on
