@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from binocal.app.corners import explained, find_corners
-from binocal.boards import Board
+from binocal.boards import Board, parse_board
+from binocal.boards.measured import board_as_measured
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.errors import DataError
 from binocal.evidence import Detections
@@ -70,17 +71,22 @@ def calibrate_images(
     calibrator: str = "drl",
     preprocess: bool = False,
     measured_board: BoardShape | None = None,
+    measured_m: tuple[float, float] | None = None,
 ) -> CalibrationRun:
     """Calibrate from the images that two globs or folders name; ``preprocess`` strengthens their edges first.
 
     With ``measured_board``, the shape that an earlier calibration found of this very board, its points take the drawing's place.
+    ``measured_m`` are the board's two distances by the ruler (:mod:`binocal.boards.measured`), metres.
 
     Raises:
-        DataError: The images cannot be used, or the measured board is another one.
+        DataError: The images cannot be used, the measured board is another one, or a distance is far from what the board has.
         CalibrationError: No trustworthy rig follows from them.
         CancelledError: ``request.should_stop`` returned True.
     """
     request = request or CalibrationRequest()
+    as_drawn = board
+    if measured_m is not None:
+        board, _ = _board_as_measured(board, measured_m)
     started = time.perf_counter()
     with ThreadPoolExecutor(1) as aside:
         # What the solver needs is loaded while the first images are, of which one core is enough.
@@ -92,12 +98,16 @@ def calibrate_images(
     detections = replace(found.detections, board_spec=rig_json.format_board(board))
     if measured_board is not None:
         detections = _on_measured_board(detections, measured_board)
+    measured: dict[str, Any] = {}
+    if measured_m is not None:
+        detections, measured = _scaled_as_measured(detections, as_drawn, measured_m)
     detected = time.perf_counter()
     inputs = {
         "opencv": _opencv_version(),
         "board": detections.board_spec,
         "preprocess": preprocess,
         "input_sha256": dict(found.input_sha256),
+        **measured,
     }
     with explained(found.ignored, found.rejected, found.notes):
         calibration = calibrate(detections, request, calibrator=calibrator, inputs=inputs)
@@ -110,13 +120,19 @@ def calibrate_images(
 
 
 def calibrate_corners(
-    path: str | Path, request: CalibrationRequest | None = None, *, calibrator: str = "drl"
+    path: str | Path,
+    request: CalibrationRequest | None = None,
+    *,
+    calibrator: str = "drl",
+    measured_m: tuple[float, float] | None = None,
 ) -> CalibrationRun:
     """Calibrate from a file of corners: detections, as ``--evidence`` writes them, or rectangles that turning cameras saw.
 
+    ``measured_m`` are the board's two distances by the ruler, metres; they take the place of those that the file was written with.
+
     Raises:
         FormatError: The file is missing, damaged or foreign.
-        DataError: It holds another kind of evidence than the calibrator works from.
+        DataError: It holds another kind of evidence than the calibrator works from, or a distance is far from what the board has.
         CalibrationError: No trustworthy rig follows from it.
     """
     from binocal.calibrators import calibrate_as_requested
@@ -132,8 +148,13 @@ def calibrate_corners(
     evidence: Any = read_detections(path) if is_board else read_rectangles(path)
     if not is_board and kind != "rectangles":
         raise DataError(f"{path} holds rectangles of turning cameras; calibrator {calibrator!r} works from a {kind}.")
+    measured: dict[str, Any] = {}
+    if measured_m is not None:
+        if not is_board or evidence.board_spec is None:
+            raise DataError(f"{path} does not say which board its corners are of: --measured needs the board's SPEC.")
+        evidence, measured = _scaled_as_measured(evidence, parse_board(evidence.board_spec), measured_m)
     loaded = time.perf_counter()
-    inputs = {"input_sha256": {"corners": hashlib.sha256(Path(path).read_bytes()).hexdigest()}}
+    inputs = {"input_sha256": {"corners": hashlib.sha256(Path(path).read_bytes()).hexdigest()}, **measured}
     calibration = calibrate_as_requested(
         evidence, request or CalibrationRequest(), calibrator=calibrator, inputs=inputs
     )
@@ -157,6 +178,30 @@ def _on_measured_board(detections: Detections, shape: BoardShape) -> Detections:
             "given has it; give the SPEC of the board that was measured."
         )
     return replace(detections, object_points_m=measured)
+
+
+def _scaled_as_measured(
+    detections: Detections, board: Board, measured_m: tuple[float, float]
+) -> tuple[Detections, dict[str, Any]]:
+    """The detections with the board's points as long and as wide as the ruler says, and the ruler's word for the provenance."""
+    board, scales = _board_as_measured(board, measured_m)
+    drawn = board.object_points_m
+    if len(drawn) != len(detections.object_points_m):
+        raise DataError(
+            f"the corners are of {len(detections.object_points_m)} points, the board {detections.board_spec} has {len(drawn)}."
+        )
+    now = np.ptp(detections.object_points_m, axis=0)[:2]
+    factors = np.append(np.ptp(drawn, axis=0)[:2] * scales / now, 1.0)
+    measured = {"A-B_m": measured_m[0], "A-C_m": measured_m[1], "scale_x": scales[0], "scale_y": scales[1]}
+    scaled = replace(detections, object_points_m=detections.object_points_m * factors, is_metric=True)
+    return scaled, {"measured": measured}
+
+
+def _board_as_measured(board: Board, measured_m: tuple[float, float]) -> tuple[Board, tuple[float, float]]:
+    try:
+        return board_as_measured(board, measured_m)
+    except ValueError as error:
+        raise DataError(str(error)) from None
 
 
 def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:

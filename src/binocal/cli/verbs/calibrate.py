@@ -119,6 +119,15 @@ def calibrate(
             metavar="FILE",
         ),
     ] = None,
+    measured: Annotated[
+        str | None,
+        typer.Option(
+            "--measured",
+            help="What the ruler says of the printed board: A-B along its rows and A-C along its columns, such as 199.4mm,139.9mm. "
+            "Chessboard, ChArUco: over all squares; AprilGrid: over all tags; circles: from centre to centre.",
+            metavar="A-B,A-C",
+        ),
+    ] = None,
     exposure: Annotated[
         Exposures,
         typer.Option(
@@ -189,7 +198,9 @@ def calibrate(
     from binocal.output import check_output
 
     parsed = _parse_source((left, right), board, corners, zoom)
-    needs = parse_needs(require, is_metric=None if parsed is None else parsed.is_metric)
+    measured_m = _parse_measured(measured, parsed)
+    is_metric = None if parsed is None else parsed.is_metric or measured_m is not None
+    needs = parse_needs(require, is_metric=is_metric)
     check_calibrator(calibrator, CALIBRATORS, load_calibrator)
     kind = evidence_of(calibrator)
     if kind == "rectangles" and corners is None:
@@ -200,6 +211,10 @@ def calibrate(
         raise typer.BadParameter("--at is a setting of --zoom.")
     if board_file is not None and zoom is not None:
         raise typer.BadParameter("--board-file does not go with --zoom.")
+    if measured is not None and (zoom is not None or board_file is not None or kind != "board"):
+        raise typer.BadParameter(
+            "--measured is of a board as drawn; leave it out, or --zoom, --board-file, --calibrator."
+        )
     if corners is not None and (preprocess or board_file is not None):
         raise typer.BadParameter("--preprocess and --board-file belong to images; leave them out, or --corners.")
     if evidence is not None and kind != "board":
@@ -223,7 +238,7 @@ def calibrate(
         request = replace(request, progress=progress)
         if corners is not None or parsed is None:
             assert corners is not None  # there is no other source without a board
-            run = verbs.calibrate_corners(corners, request, calibrator=calibrator)
+            run = verbs.calibrate_corners(corners, request, calibrator=calibrator, measured_m=measured_m)
         elif zoom is not None:
             run = _calibrate_zoom(zoom, parsed, request, at, preprocess)
         else:
@@ -232,6 +247,7 @@ def calibrate(
                 calibrator=calibrator,
                 preprocess=preprocess,
                 measured_board=measured_board,
+                measured_m=measured_m,
             )
         run = verbs.with_checks(run, request) if checks else run
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
@@ -276,6 +292,21 @@ def _parse_source(
     if (left, right, board) != (None, None, None):
         raise typer.BadParameter("give either --left, --right and --board, or --corners FILE.")
     return None
+
+
+def _parse_measured(text: str | None, board: Board | None) -> tuple[float, float] | None:
+    """The two distances of ``--measured``, metres; far from a board's own they are refused before its images are read."""
+    if text is None:
+        return None
+    from binocal.boards.measured import board_as_measured, parse_measured
+
+    try:
+        measured_m = parse_measured(text)
+        if board is not None:
+            board_as_measured(board, measured_m)
+    except ValueError as error:
+        raise typer.BadParameter(f"--measured: {error}") from None
+    return measured_m
 
 
 def _refuse_input_as_output(path: Path, *sources: str) -> None:
