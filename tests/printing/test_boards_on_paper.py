@@ -10,7 +10,7 @@ import pytest
 
 import binocal
 from binocal.app.board import PrintRequest, lay_out_pages, print_board
-from binocal.boards import Board, parse_board
+from binocal.boards import Board, load_board, parse_board
 from binocal.boards.measured import measured_box_m
 from binocal.printing.drawing import Page
 from binocal.printing.paper import PAPERS, parse_paper, smallest_paper
@@ -248,6 +248,23 @@ def test_the_parts_of_a_split_board_lie_on_one_another(tmp_path):
 def test_a_file_for_cutters_is_not_split(tmp_path):
     with pytest.raises(ValueError, match="the board needs"):
         print_board(parse_board("chessboard:9x6:40mm"), tmp_path / "b.dxf", PrintRequest(PAPERS["A4"], is_tiled=True))
+
+
+@pytest.mark.parametrize(
+    "spec", ["chessboard:9x6:20mm", "aprilgrid:3x2:50mm:0.25", "circles:7x5:25mm", "acircles:4x11:12mm"]
+)
+def test_kalibrs_target_beside_it_is_the_same_board(tmp_path, spec):
+    board = parse_board(spec)
+    print_board(board, tmp_path / "b.svg", kalibr=tmp_path / "target.yaml")
+    assert load_board(str(tmp_path / "target.yaml")) == board
+
+
+def test_a_board_that_kalibr_lacks_writes_nothing(tmp_path):
+    with pytest.raises(ValueError, match="no ChArUco"):
+        print_board(
+            parse_board("charuco:5x4:30mm:22mm:DICT_5X5_50"), tmp_path / "b.svg", kalibr=tmp_path / "target.yaml"
+        )
+    assert not list(tmp_path.iterdir())
 
 
 def test_papers():

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from binocal.boards import Board, format_board
+from binocal.boards.target_file import format_kalibr_target
 from binocal.output import Content, check_output, write_together
 from binocal.printing.drawing import Page
 from binocal.printing.dxf import dxf_text
@@ -42,9 +43,14 @@ class PrintedBoard:
 
 
 def print_board(
-    board: Board, path: str | Path, request: PrintRequest | None = None, *, force: bool = False
+    board: Board,
+    path: str | Path,
+    request: PrintRequest | None = None,
+    *,
+    kalibr: str | Path | None = None,
+    force: bool = False,
 ) -> PrintedBoard:
-    """Write a board to a PDF, SVG, DXF or PNG file, by its suffix.
+    """Write a board to a PDF, SVG, DXF or PNG file, by its suffix, and to ``kalibr`` as Kalibr's target file.
 
     Raises:
         ValueError: The suffix is another one, the board fits no such page, or it cannot be drawn; the text says what would do.
@@ -57,6 +63,8 @@ def print_board(
         raise ValueError(f"{path.name} ends in none of {', '.join(SUFFIXES)}, which say what is written")
     pages = lay_out_pages(board, request, is_for_cutter=suffix == ".dxf")
     contents = _contents(path, pages, request.dpi, format_board(board))
+    if kalibr is not None:
+        contents[Path(kalibr)] = format_kalibr_target(board)
     for output in contents:
         check_output(output, force=force)
     write_together({**contents}, force=force)

@@ -68,6 +68,12 @@ def board(
             "--notes/--no-notes", help="Scale bars, the SPEC as text and QR code, and the lines to measure along."
         ),
     ] = True,
+    kalibr: Annotated[
+        Path | None,
+        typer.Option(
+            "--kalibr", help="Also write Kalibr's target file, which --board takes too.", metavar="TARGET.YAML"
+        ),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
@@ -79,12 +85,14 @@ def board(
     parsed = parse_board(spec)
     if legacy and parsed.kind != "charuco":
         raise typer.BadParameter("--legacy is a layout of ChArUco boards alone.")
+    if kalibr is not None and kalibr.suffix.lower() not in (".yaml", ".yml"):
+        raise typer.BadParameter(f"--kalibr {kalibr} does not end in .yaml, as board files do.")
     try:
         page_mm = None if page is None else parse_paper(page)
         request = PrintRequest(
             page_mm, landscape, tiles, dpi, SheetOptions(_margin_mm(margin), notes, is_legacy_charuco=legacy)
         )
-        printed = print_board(parsed, file, request, force=force)
+        printed = print_board(parsed, file, request, kalibr=kalibr, force=force)
     except ValueError as error:
         raise typer.BadParameter(f"{error}.") from None
     present(_document(spec, printed), _text(parsed, printed, request), json)
