@@ -42,9 +42,28 @@ def test_pages_are_files_where_a_format_has_one_page(here, capsys):
         (["chessboard:9x6:60mm", "b.pdf", "--page", "A4"], "take --page A1, or --tiles"),
         (["chessboard:9x6:2mm", "b.pdf", "--page", "60x60mm"], "too narrow for the notes"),
         (["nonsense", "b.pdf"], "is not understood"),
+        (["b.pdf"], "missing SPEC or FILE"),
+        (["b.pdf", "--for", "60deg@1280x960"], "--for and --range belong together"),
+        (["b.pdf", "--for", "60deg@1280x960", "--range", "0.5-3"], "needs a unit"),
+        (["b.pdf", "--for", "500deg@1280x960", "--range", "0.5-3m"], "is none; it runs from 1 to 220 deg"),
+        (["chessboard:9x6:20mm", "b.pdf", "--for", "60@1280x960", "--range", "1-2m"], "leave out the SPEC"),
+        (["--for", "60@1280x960", "--range", "1-2m", "--kalibr", "t.yaml"], "name its FILE too"),
+        (["chessboard:9x6:20mm", "b.pdf", "--kalibr", "t.txt"], "does not end in .yaml"),
     ],
 )
 def test_what_cannot_be_printed_is_a_line(here, capsys, arguments, message):
     assert main(["board", *arguments]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1 and not list(here.iterdir())
+
+
+def test_a_board_is_recommended_with_its_reasons_and_written(here, capsys):
+    assert main(["board", "--for", "60deg@1280x960", "--range", "0.5-3m"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert (
+        out[0] == "chessboard:7x4:43mm" and "15.9 px at 3 m" in out[2] and out[4].startswith("- A3") and len(out) == 5
+    )
+    assert main(["board", "b.svg", "--for", "60deg@1280x960", "--range", "0.5-3m", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["board"] == "chessboard:7x4:43mm" and document["page_mm"] == [420.0, 297.0]
+    assert document["files"] == ["b.svg"] and (here / "b.svg").exists()

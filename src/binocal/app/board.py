@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from binocal.boards import Board, format_board
 from binocal.boards.target_file import format_kalibr_target
+from binocal.cameras import Camera, StereoRig
+from binocal.formats.rig_file import load_rig
 from binocal.output import Content, check_output, write_together
 from binocal.printing.drawing import Page
 from binocal.printing.dxf import dxf_text
 from binocal.printing.paper import PAPERS, has_room_for, smallest_paper, turned_to_fit
 from binocal.printing.pdf import pdf_content
 from binocal.printing.png import png_content
+from binocal.printing.recommendation import camera_of_field
 from binocal.printing.sheet import SheetOptions, distances_mm, lay_out_sheet, sheet_size_mm
 from binocal.printing.svg import svg_text
 from binocal.printing.tiles import split_over_pages
@@ -70,6 +74,26 @@ def print_board(
     write_together({**contents}, force=force)
     first = pages[0]
     return PrintedBoard(tuple(contents), len(pages), (first.width, first.height), distances_mm(board))
+
+
+def load_viewer(text: str) -> StereoRig | Camera:
+    """The cameras that a board is for: a rig's file, or a horizontal field of view and an image size, ``60deg@1280x960``.
+
+    Raises:
+        ValueError: A field of view or a size that is none, or a rig without a scale.
+        FormatError: The file holds no rig.
+    """
+    found = re.fullmatch(r"\s*([0-9.]+)(?:deg|°)?@([1-9][0-9]{0,5})x([1-9][0-9]{0,5})\s*", text)
+    if found is None:
+        rig = load_rig(text)
+        if not rig.is_metric:
+            raise ValueError(f"{text} is a rig without a scale; give the field of view instead, such as 60deg@1280x960")
+        return rig
+    try:
+        field_deg = float(found[1])
+    except ValueError:
+        raise ValueError(f"{found[1]!r} is not an angle in degrees, such as 60deg@1280x960") from None
+    return camera_of_field(field_deg, (int(found[2]), int(found[3])))
 
 
 def lay_out_pages(board: Board, request: PrintRequest, *, is_for_cutter: bool = False) -> tuple[Page, ...]:

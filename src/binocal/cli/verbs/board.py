@@ -1,4 +1,4 @@
-"""The verb ``board``: a board for the printer or the cutter, true to scale."""
+"""The verb ``board``: a board for the printer or the cutter, true to scale; or which one suits cameras and distances."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import typer
 
 from binocal.cli.arguments import parse_board
 from binocal.cli.exits import FINE
-from binocal.cli.options import Force, Json, app, finite, present
+from binocal.cli.options import Force, Json, app, finite, parse_range, present
 
 if TYPE_CHECKING:
     from binocal.app.board import PrintedBoard, PrintRequest
     from binocal.boards import Board
+    from binocal.printing.recommendation import Recommendation
 
 LARGEST_MARGIN_M = 0.5
 
@@ -21,20 +22,33 @@ LARGEST_MARGIN_M = 0.5
 @app.command()
 def board(
     spec: Annotated[
-        str,
+        str | None,
         typer.Argument(
             metavar="SPEC",
             help="The board, as for --board of the other verbs: chessboard:9x6:20mm (inner corners), "
             "charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm.",
             show_default=False,
         ),
-    ],
+    ] = None,
     file: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="FILE", help="What is written: a .pdf, .svg, .png, or a .dxf to cut or etch.", show_default=False
         ),
-    ],
+    ] = None,
+    seen_by: Annotated[
+        str | None,
+        typer.Option(
+            "--for",
+            help="In place of SPEC: recommend a board for the cameras of a rig.json, or of a horizontal field of view and an image "
+            "size such as 60deg@1280x960, and write it to FILE, if one is given.",
+            metavar="RIG|FOV",
+        ),
+    ] = None,
+    range_: Annotated[
+        str | None,
+        typer.Option("--range", help="With --for: nearest and farthest distance, such as 0.5-3m.", metavar="NEAR-FAR"),
+    ] = None,
     page: Annotated[
         str | None,
         typer.Option(
@@ -82,21 +96,64 @@ def board(
     from binocal.printing.paper import parse_paper
     from binocal.printing.sheet import SheetOptions
 
-    parsed = parse_board(spec)
+    if seen_by is not None and spec is not None and file is None:
+        spec, file = None, Path(spec)
+    recommended = _recommend(seen_by, range_, spec)
+    if recommended is None and (spec is None or file is None):
+        raise typer.BadParameter("missing SPEC or FILE: give both, or --for RIG|FOV with --range NEAR-FAR.")
+    parsed = parse_board(str(spec)) if recommended is None else recommended.board
     if legacy and parsed.kind != "charuco":
         raise typer.BadParameter("--legacy is a layout of ChArUco boards alone.")
     if kalibr is not None and kalibr.suffix.lower() not in (".yaml", ".yml"):
         raise typer.BadParameter(f"--kalibr {kalibr} does not end in .yaml, as board files do.")
+    if kalibr is not None and file is None:
+        raise typer.BadParameter("--kalibr writes beside a board: name its FILE too.")
     try:
-        page_mm = None if page is None else parse_paper(page)
+        page_text = page if page is not None or recommended is None else recommended.page
+        page_mm = None if page_text is None else parse_paper(page_text)
         request = PrintRequest(
             page_mm, landscape, tiles, dpi, SheetOptions(_margin_mm(margin), notes, is_legacy_charuco=legacy)
         )
-        printed = print_board(parsed, file, request, kalibr=kalibr, force=force)
+        printed = None if file is None else print_board(parsed, file, request, kalibr=kalibr, force=force)
     except ValueError as error:
         raise typer.BadParameter(f"{error}.") from None
-    present(_document(spec, printed), _text(parsed, printed, request), json)
+    document, lines = _recommendation(recommended)
+    if printed is not None:
+        document |= _document(parsed, printed)
+        lines += _lines(parsed, printed, request)
+    present(document, "\n".join(lines), json)
     return FINE
+
+
+def _recommend(seen_by: str | None, range_: str | None, spec: str | None) -> Recommendation | None:
+    """What ``--for`` and ``--range`` ask for; None where neither is given."""
+    if (seen_by is None) != (range_ is None):
+        raise typer.BadParameter("--for and --range belong together: --for 60deg@1280x960 --range 0.5-3m.")
+    if seen_by is None:
+        return None
+    if spec is not None:
+        raise typer.BadParameter("--for recommends a board: leave out the SPEC.")
+    from binocal.app.board import load_viewer
+    from binocal.printing.recommendation import recommend_board
+
+    near_m, far_m, has_unit = parse_range(str(range_))
+    if not has_unit:
+        raise typer.BadParameter(f"--range {range_} needs a unit: mm, cm, m or in.")
+    try:
+        return recommend_board(load_viewer(seen_by), near_m, far_m)
+    except ValueError as error:
+        raise typer.BadParameter(f"{error}.") from None
+
+
+def _recommendation(recommended: Recommendation | None) -> tuple[dict[str, Any], list[str]]:
+    if recommended is None:
+        return {}, []
+    from binocal.boards import format_board
+
+    spec = format_board(recommended.board)
+    figures = {"square_px": recommended.square_px, "share": recommended.share}
+    document = {"board": spec, "page": recommended.page, "reasons": list(recommended.reasons), **figures}
+    return document, [spec, *(f"- {reason}" for reason in recommended.reasons)]
 
 
 def _margin_mm(text: str) -> float:
@@ -110,10 +167,12 @@ def _margin_mm(text: str) -> float:
     return 1e3 * length_m
 
 
-def _document(spec: str, printed: PrintedBoard) -> dict[str, Any]:
+def _document(parsed: Board, printed: PrintedBoard) -> dict[str, Any]:
+    from binocal.boards import format_board
+
     across, along = printed.distances_mm
     return {
-        "board": spec,
+        "board": format_board(parsed),
         "files": [str(path) for path in printed.paths],
         "pages": printed.n_pages,
         "page_mm": list(printed.page_mm),
@@ -121,7 +180,7 @@ def _document(spec: str, printed: PrintedBoard) -> dict[str, Any]:
     }
 
 
-def _text(parsed: Board, printed: PrintedBoard, request: PrintRequest) -> str:
+def _lines(parsed: Board, printed: PrintedBoard, request: PrintRequest) -> list[str]:
     from binocal.boards.measured import measured_ends
 
     width, height = printed.page_mm
@@ -131,4 +190,4 @@ def _text(parsed: Board, printed: PrintedBoard, request: PrintRequest) -> str:
     lines = [f"{names}: {many}{width:.4g} x {height:.4g} mm; print it at 100 %"]
     if request.sheet.has_notes:
         lines.append(f"then measure A-B ({across:.6g} mm) and A-C ({along:.6g} mm), {measured_ends(parsed)}")
-    return "\n".join(lines)
+    return lines
