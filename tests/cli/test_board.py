@@ -43,6 +43,10 @@ def test_pages_are_files_where_a_format_has_one_page(here, capsys):
         (["chessboard:9x6:2mm", "b.pdf", "--page", "60x60mm"], "too narrow for the notes"),
         (["nonsense", "b.pdf"], "is not understood"),
         (["b.pdf"], "missing SPEC or FILE"),
+        (["chessboard:9x6", "--screen", "--resolution", "big"], "--resolution is 'big'"),
+        (["chessboard:9x6", "--screen", "--diagonal", "27"], "needs a unit: mm, cm, m or in, such as 27in"),
+        (["chessboard:9x6", "--screen", "--page", "A4"], "belong to paper"),
+        (["chessboard:9x6:20mm", "b.pdf", "--diagonal", "27in"], "belong to --screen"),
         (["b.pdf", "--for", "60deg@1280x960"], "--for and --range belong together"),
         (["b.pdf", "--for", "60deg@1280x960", "--range", "0.5-3"], "needs a unit"),
         (["b.pdf", "--for", "500deg@1280x960", "--range", "0.5-3m"], "is none; it runs from 1 to 220 deg"),
@@ -67,3 +71,14 @@ def test_a_board_is_recommended_with_its_reasons_and_written(here, capsys):
     document = json.loads(capsys.readouterr().out)
     assert document["board"] == "chessboard:7x4:43mm" and document["page_mm"] == [420.0, 297.0]
     assert document["files"] == ["b.svg"] and (here / "b.svg").exists()
+
+
+def test_a_page_for_a_screen_says_its_spec(here, capsys, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    arguments = ["board", "chessboard:9x6:20mm", "--screen", "--diagonal", "27in", "--resolution", "2560x1440"]
+    assert main(arguments) == 0
+    assert "board.html: 860 x 602 pixels, 86 a pitch" in capsys.readouterr().out and not opened
+    assert main([*arguments, "--open", "--force", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["board"] == "chessboard:9x6:20.0799mm" and opened == [(here / "board.html").as_uri()]

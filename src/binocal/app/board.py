@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from binocal.boards import Board, format_board
+from binocal.boards import Board, format_board, parse_board
 from binocal.boards.target_file import format_kalibr_target
 from binocal.cameras import Camera, StereoRig
 from binocal.formats.rig_file import load_rig
@@ -18,6 +18,7 @@ from binocal.printing.paper import PAPERS, has_room_for, smallest_paper, turned_
 from binocal.printing.pdf import pdf_content
 from binocal.printing.png import png_content
 from binocal.printing.recommendation import camera_of_field
+from binocal.printing.screen import Screen, ScreenBoard, fit_board, screen_page
 from binocal.printing.sheet import SheetOptions, distances_mm, lay_out_sheet, sheet_size_mm
 from binocal.printing.svg import svg_text
 from binocal.printing.tiles import split_over_pages
@@ -64,7 +65,9 @@ def print_board(
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise ValueError(f"{path.name} ends in none of {', '.join(SUFFIXES)}, which say what is written")
+        raise ValueError(
+            f"{path.name} ends in none of {', '.join(SUFFIXES)}, which say what is written; .html goes with --screen"
+        )
     pages = lay_out_pages(board, request, is_for_cutter=suffix == ".dxf")
     contents = _contents(path, pages, request.dpi, format_board(board))
     if kalibr is not None:
@@ -74,6 +77,32 @@ def print_board(
     write_together({**contents}, force=force)
     first = pages[0]
     return PrintedBoard(tuple(contents), len(pages), (first.width, first.height), distances_mm(board))
+
+
+def write_screen_board(
+    board: Board,
+    path: str | Path,
+    screen: Screen,
+    *,
+    is_legacy_charuco: bool = False,
+    kalibr: str | Path | None = None,
+    force: bool = False,
+) -> ScreenBoard:
+    """Write a board as a page for a browser, in whole pixels of a screen, and to ``kalibr`` as shown there.
+
+    Raises:
+        ValueError: The suffix is not .html, the screen has too few pixels, or Kalibr has no such boards.
+        DataError: The file cannot be written, or exists and ``force`` is False.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"{path.name} does not end in .html, as pages for a screen do")
+    shown = fit_board(board, screen, is_legacy_charuco=is_legacy_charuco)
+    contents: dict[str | Path, Content] = {path: screen_page(shown, screen, is_legacy_charuco=is_legacy_charuco)}
+    if kalibr is not None:
+        contents[kalibr] = format_kalibr_target(parse_board(shown.spec))
+    write_together(contents, force=force)
+    return shown
 
 
 def load_viewer(text: str) -> StereoRig | Camera:

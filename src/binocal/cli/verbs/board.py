@@ -1,7 +1,8 @@
-"""The verb ``board``: a board for the printer or the cutter, true to scale; or which one suits cameras and distances."""
+"""The verb ``board``: a board for the printer, the cutter or a screen, true to scale; or which one suits cameras and distances."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from binocal.app.board import PrintedBoard, PrintRequest
     from binocal.boards import Board
     from binocal.printing.recommendation import Recommendation
+    from binocal.printing.screen import Screen, ScreenBoard
 
 LARGEST_MARGIN_M = 0.5
 
@@ -88,16 +90,38 @@ def board(
             "--kalibr", help="Also write Kalibr's target file, which --board takes too.", metavar="TARGET.YAML"
         ),
     ] = None,
+    screen: Annotated[
+        bool,
+        typer.Option(
+            "--screen",
+            help="Write a page for a browser, which shows the board pixel by pixel; FILE is board.html if left out.",
+        ),
+    ] = False,
+    diagonal: Annotated[
+        str | None,
+        typer.Option(
+            "--diagonal",
+            help="With --screen: that of its visible area, such as 27in; the pitch follows.",
+            metavar="LENGTH",
+        ),
+    ] = None,
+    resolution: Annotated[
+        str | None,
+        typer.Option("--resolution", help="With --screen: its pixels (default: 1920x1080).", metavar="WxH"),
+    ] = None,
+    open_page: Annotated[bool, typer.Option("--open", help="With --screen: open the page in the browser.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Write a board to print, cut or etch: true to scale, with scale bars, its SPEC, and two distances to measure."""
-    from binocal.app.board import PrintRequest, print_board
+    """Write a board to print, cut, etch or show on a screen: true to scale, with scale bars, its SPEC, and two distances to measure."""
+    from binocal.app.board import PrintRequest, print_board, write_screen_board
     from binocal.printing.paper import parse_paper
     from binocal.printing.sheet import SheetOptions
 
     if seen_by is not None and spec is not None and file is None:
         spec, file = None, Path(spec)
+    if screen and file is None:
+        file = Path("board.html")
     recommended = _recommend(seen_by, range_, spec)
     if recommended is None and (spec is None or file is None):
         raise typer.BadParameter("missing SPEC or FILE: give both, or --for RIG|FOV with --range NEAR-FAR.")
@@ -108,21 +132,81 @@ def board(
         raise typer.BadParameter(f"--kalibr {kalibr} does not end in .yaml, as board files do.")
     if kalibr is not None and file is None:
         raise typer.BadParameter("--kalibr writes beside a board: name its FILE too.")
+    if not screen and (diagonal is not None or resolution is not None or open_page):
+        raise typer.BadParameter("--diagonal, --resolution and --open belong to --screen.")
+    if screen and (page is not None or landscape or tiles):
+        raise typer.BadParameter("--page, --landscape and --tiles belong to paper; leave them out, or --screen.")
+    document, lines = _recommendation(recommended)
     try:
         page_text = page if page is not None or recommended is None else recommended.page
         page_mm = None if page_text is None else parse_paper(page_text)
         request = PrintRequest(
             page_mm, landscape, tiles, dpi, SheetOptions(_margin_mm(margin), notes, is_legacy_charuco=legacy)
         )
-        printed = None if file is None else print_board(parsed, file, request, kalibr=kalibr, force=force)
+        if screen and file is not None:
+            shown = write_screen_board(
+                parsed,
+                file,
+                _parse_screen(resolution, diagonal),
+                is_legacy_charuco=legacy,
+                kalibr=kalibr,
+                force=force,
+            )
+            document |= _screen_document(file, shown)
+            lines += _screen_lines(file, shown)
+        elif file is not None:
+            printed = print_board(parsed, file, request, kalibr=kalibr, force=force)
+            document |= _document(parsed, printed)
+            lines += _lines(parsed, printed, request)
     except ValueError as error:
         raise typer.BadParameter(f"{error}.") from None
-    document, lines = _recommendation(recommended)
-    if printed is not None:
-        document |= _document(parsed, printed)
-        lines += _lines(parsed, printed, request)
     present(document, "\n".join(lines), json)
+    if open_page and file is not None:
+        import webbrowser
+
+        webbrowser.open(file.absolute().as_uri())
     return FINE
+
+
+def _parse_screen(resolution: str | None, diagonal: str | None) -> Screen:
+    """The screen of ``--resolution`` and ``--diagonal``."""
+    from binocal.boards.board import parse_length
+    from binocal.printing.screen import Screen
+
+    text = resolution or "1920x1080"
+    found = re.fullmatch(r"([1-9][0-9]{1,4})x([1-9][0-9]{1,4})", text)
+    if found is None:
+        raise ValueError(f"--resolution is {text!r}; give width and height in pixels, such as 2560x1440")
+    size_wh = int(found[1]), int(found[2])
+    if diagonal is None:
+        return Screen(size_wh, None)
+    length_m, has_unit = parse_length(diagonal)
+    if not has_unit:
+        raise ValueError(f"--diagonal {diagonal} needs a unit: mm, cm, m or in, such as 27in")
+    return Screen.of_diagonal(size_wh, length_m)
+
+
+def _screen_document(file: Path, shown: ScreenBoard) -> dict[str, Any]:
+    parsed = parse_board(shown.spec)
+    pitch_mm = 1e3 * parsed.pitch_m if parsed.is_metric else None
+    return {
+        "board": shown.spec,
+        "files": [str(file)],
+        "pitch_px": shown.pitch_px,
+        "pitch_mm": pitch_mm,
+        "size_px": list(shown.size_px),
+    }
+
+
+def _screen_lines(file: Path, shown: ScreenBoard) -> list[str]:
+    width, height = shown.size_px
+    lines = [
+        f"{file}: {width} x {height} pixels, {shown.pitch_px} a pitch; open it in a browser, press F for full screen",
+        f"then --board {shown.spec}",
+    ]
+    if not parse_board(shown.spec).is_metric:
+        lines.append("the scale is unknown: write the page with --diagonal, or type the diagonal there")
+    return lines
 
 
 def _recommend(seen_by: str | None, range_: str | None, spec: str | None) -> Recommendation | None:
