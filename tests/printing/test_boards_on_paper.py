@@ -60,7 +60,7 @@ def test_a_png_is_true_to_scale_and_detected(spec, is_legacy):
     assert np.nanmax(np.abs(theirs - points_mm(board, page))) < (0.5 if board.kind == "aprilgrid" else 0.1)
 
 
-@pytest.mark.parametrize(("spec", "is_legacy"), KINDS[:2] + KINDS[4:5])
+@pytest.mark.parametrize(("spec", "is_legacy"), KINDS[:2])
 def test_at_1200_dpi_too(spec, is_legacy):
     board, page = small_page(spec, is_legacy)
     found = binocal.detect(as_photographed(png_content(page, 1200.0)), board)

@@ -84,8 +84,7 @@ def test_kalibrs_target_is_of_the_board_as_shown(tmp_path):
         write_screen_board(parse_board("chessboard:9x6"), tmp_path / "b.pdf", Screen((640, 480), None))
 
 
-@pytest.mark.parametrize("ratio", [1, 2])
-def test_a_browser_shows_it_pixel_by_pixel(tmp_path, ratio):
+def test_a_browser_shows_it_pixel_by_pixel(tmp_path, ratio=2):
     browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     if browser is None:
         pytest.skip(f"no browser to show the page in: {', '.join(BROWSERS)}")

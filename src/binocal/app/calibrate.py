@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from binocal.app.corners import explained, find_corners
+from binocal.app.measured import checked_board, scale_as_measured
 from binocal.boards import Board, parse_board
-from binocal.boards.measured import board_as_measured
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.errors import DataError
 from binocal.evidence import Detections
@@ -91,7 +91,7 @@ def calibrate_images(
     request = request or CalibrationRequest()
     as_drawn = board
     if measured_m is not None:
-        board, _ = _board_as_measured(board, measured_m)
+        board, _ = checked_board(board, measured_m)
     started = time.perf_counter()
     preparation = Preparation(channel, preprocess)
     with ThreadPoolExecutor(1) as aside:
@@ -106,7 +106,7 @@ def calibrate_images(
         detections = _on_measured_board(detections, measured_board)
     measured: dict[str, Any] = {}
     if measured_m is not None:
-        detections, measured = _scaled_as_measured(detections, as_drawn, measured_m)
+        detections, measured = scale_as_measured(detections, as_drawn, measured_m)
     detected = time.perf_counter()
     inputs = {
         "opencv": _opencv_version(),
@@ -159,7 +159,7 @@ def calibrate_corners(
     if measured_m is not None:
         if not is_board or evidence.board_spec is None:
             raise DataError(f"{path} does not say which board its corners are of: --measured needs the board's SPEC.")
-        evidence, measured = _scaled_as_measured(evidence, parse_board(evidence.board_spec), measured_m)
+        evidence, measured = scale_as_measured(evidence, parse_board(evidence.board_spec), measured_m)
     loaded = time.perf_counter()
     inputs = {"input_sha256": {"corners": hashlib.sha256(Path(path).read_bytes()).hexdigest()}, **measured}
     calibration = calibrate_as_requested(
@@ -185,30 +185,6 @@ def _on_measured_board(detections: Detections, shape: BoardShape) -> Detections:
             "given has it; give the SPEC of the board that was measured."
         )
     return replace(detections, object_points_m=measured)
-
-
-def _scaled_as_measured(
-    detections: Detections, board: Board, measured_m: tuple[float, float]
-) -> tuple[Detections, dict[str, Any]]:
-    """The detections with the board's points as long and as wide as the ruler says, and the ruler's word for the provenance."""
-    board, scales = _board_as_measured(board, measured_m)
-    drawn = board.object_points_m
-    if len(drawn) != len(detections.object_points_m):
-        raise DataError(
-            f"the corners are of {len(detections.object_points_m)} points, the board {detections.board_spec} has {len(drawn)}."
-        )
-    now = np.ptp(detections.object_points_m, axis=0)[:2]
-    factors = np.append(np.ptp(drawn, axis=0)[:2] * scales / now, 1.0)
-    measured = {"A-B_m": measured_m[0], "A-C_m": measured_m[1], "scale_x": scales[0], "scale_y": scales[1]}
-    scaled = replace(detections, object_points_m=detections.object_points_m * factors, is_metric=True)
-    return scaled, {"measured": measured}
-
-
-def _board_as_measured(board: Board, measured_m: tuple[float, float]) -> tuple[Board, tuple[float, float]]:
-    try:
-        return board_as_measured(board, measured_m)
-    except ValueError as error:
-        raise DataError(str(error)) from None
 
 
 def _load_calibrator(name: str) -> Callable[..., StereoCalibration]:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_needs
+from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_measured, parse_needs
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, Force, Json, Needs, Seed, Threads, app, finite, present
+from binocal.cli.options import BOARD_HELP, Force, Json, Measured, Needs, Seed, Threads, app, finite, present
 from binocal.errors import CalibrationError, DataError, FormatError
 
 if TYPE_CHECKING:
@@ -128,15 +128,7 @@ def calibrate(
             metavar="FILE",
         ),
     ] = None,
-    measured: Annotated[
-        str | None,
-        typer.Option(
-            "--measured",
-            help="What the ruler says of the printed board: A-B along its rows and A-C along its columns, such as 199.4mm,139.9mm. "
-            "Chessboard, ChArUco: over all squares; AprilGrid: over all tags; circles: from centre to centre.",
-            metavar="A-B,A-C",
-        ),
-    ] = None,
+    measured: Measured = None,
     exposure: Annotated[
         Exposures,
         typer.Option(
@@ -215,9 +207,8 @@ def calibrate(
     from binocal.output import check_output
 
     parsed = _parse_source((left, right), board, corners, zoom)
-    measured_m = _parse_measured(measured, parsed)
-    is_metric = None if parsed is None else parsed.is_metric or measured_m is not None
-    needs = parse_needs(require, is_metric=is_metric)
+    parsed, measured_m = parse_measured(measured, parsed)
+    needs = parse_needs(require, is_metric=None if parsed is None else parsed.is_metric)
     check_calibrator(calibrator, CALIBRATORS, load_calibrator)
     kind = evidence_of(calibrator)
     if kind == "rectangles" and corners is None:
@@ -311,21 +302,6 @@ def _parse_source(
     if (left, right, board) != (None, None, None):
         raise typer.BadParameter("give either --left, --right and --board, or --corners FILE.")
     return None
-
-
-def _parse_measured(text: str | None, board: Board | None) -> tuple[float, float] | None:
-    """The two distances of ``--measured``, metres; far from a board's own they are refused before its images are read."""
-    if text is None:
-        return None
-    from binocal.boards.measured import board_as_measured, parse_measured
-
-    try:
-        measured_m = parse_measured(text)
-        if board is not None:
-            board_as_measured(board, measured_m)
-    except ValueError as error:
-        raise typer.BadParameter(f"--measured: {error}") from None
-    return measured_m
 
 
 def _refuse_input_as_output(path: Path, *sources: str) -> None:
