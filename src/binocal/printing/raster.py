@@ -106,8 +106,8 @@ class _Layer:
         part = ink[rows, columns]
         if not part.size:
             return
-        # Hershey's letters are 22 units high; they are spread over the width that Courier would take.
-        advance, scale, thickness = ADVANCE * size, 0.7 * size / 22, max(1, round(0.09 * size))
+        # OpenCV's letters are 22 units high; they are spread over the width that Courier would take, the widest of which just fit.
+        advance, scale, thickness = ADVANCE * size, 0.6 * size / 22, max(1, round(0.05 * size))
         patch = np.zeros(part.shape, np.uint8)
         for i, letter in enumerate(text.text):
             (wide, _), _ = cv2.getTextSize(letter, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
