@@ -37,7 +37,7 @@ LABELS = {
     "planning": "which views to take next",
     "printing": "boards on paper and screens",
     "rectification": "maps, disparity, depth",
-    "report": "figures",
+    "report": "figures, pages",
     "requirements": "what a user needs, verdicts",
     "result": "a calibration",
     "rl": "agent, environment, training",
