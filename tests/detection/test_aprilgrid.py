@@ -75,4 +75,4 @@ def test_an_inverted_print_is_found_and_a_mirror_image_named(shoot):
     found = detect(255 - shot.image, shot.board)
     assert found.is_seen.mean() > 0.97 and np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.1, found.reason
     mirrored = detect(np.ascontiguousarray(shot.image[:, ::-1]), shot.board)
-    assert not mirrored.is_found and "mirror image" in mirrored.reason
+    assert not mirrored.is_found and "mirrored" in mirrored.reason

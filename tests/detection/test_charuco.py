@@ -104,7 +104,7 @@ def test_an_inverted_print_is_found_and_a_mirror_image_named(shoot):
     assert found.is_found and found.is_seen.all(), found.reason
     assert np.abs(found.points_px - shot.corners_px).max() < 0.1  # measured 0.03
     mirrored = detect(np.ascontiguousarray(shot.image[:, ::-1]), shot.board)
-    assert not mirrored.is_found and "mirror image" in mirrored.reason
+    assert not mirrored.is_found and "mirrored" in mirrored.reason
 
 
 def test_corners_behind_a_covered_middle_are_found(shoot):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import os
 import re
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 from binocal.cli.exits import FAILED, FINE, INTERRUPT_TEXT, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
 from binocal.cli.grouping import group_lines
 from binocal.cli.streams import discard, finish_stdout, print_document, say
+from binocal.cli.usage import usage_message
 from binocal.errors import (
     BinocalError,
     CancelledError,
@@ -22,7 +24,6 @@ from binocal.errors import (
     PluginError,
 )
 from binocal.findings import finding_document, findings_of
-from binocal.input_file import exists
 
 FAILURES = (
     NotConvergedError,
@@ -68,14 +69,23 @@ def run(arguments: Sequence[str] | None = None) -> int:
         raise
 
 
-def _run(arguments: list[str]) -> Any:
+@functools.cache
+def _command() -> Any:
+    """The command line as typer builds it from the verbs' signatures, which takes longer than most refusals."""
+    from typer.main import get_command
+
     from binocal.cli.verbs import app
 
+    return get_command(app)
+
+
+def _run(arguments: list[str]) -> Any:
+    command = _command()
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         # NumPy's own, of numbers beyond a double's range: what follows from those is refused by name
         warnings.filterwarnings("ignore", category=RuntimeWarning)
-        return app(arguments, prog_name="binocal", standalone_mode=False)
+        return command(arguments, prog_name="binocal", standalone_mode=False)
 
 
 def _report_system(error: OSError | MemoryError, wants_json: bool) -> int:
@@ -139,20 +149,12 @@ def _report(code: str, message: str, wants_json: bool, figures: dict[str, Any] |
 def _report_usage(error: Any, wants_json: bool) -> int:
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "binocal"
-    message = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
-        print(message)
+        print(error.format_message())
         return USAGE
-    message = message.replace("Input should be", "it must be").rstrip(". ")
-    if extra := re.match(r"Got unexpected extra arguments? ?(\(s\))? ?\((?P<first>[^\s)]+)", message):
-        message += _about_patterns(extra["first"])
+    message = usage_message(error)
     _report("usage", f"{message}{'' if message.endswith('?') else '.'} See `{command} --help`.", wants_json)
     return error.exit_code or USAGE
-
-
-def _about_patterns(argument: str) -> str:
-    """What an argument too many most often comes from, where it is a file: a pattern that the shell has expanded."""
-    return "; put patterns in quotes: --left 'left_*.png'" if exists(argument) else ""
 
 
 def _show_warning(message: Any, *_: Any, **__: Any) -> None:

@@ -35,7 +35,7 @@ MUCH_MORE = 1.5  # times as many tags with the narrow border as with the wide on
 NARROWEST_BORDER = 0.125  # of a tag's side: one bit beside eight
 LEAST_MORE_READ = 2  # tags that must be where one layout demands them and not where another does, for it to be believed
 LAYOUT_UNKNOWN = "which way the ids run cannot be seen in this image; from the bottom taken"
-MIRRORED = "the image shows the board's mirror image; flip the images back"
+MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
 MAX_STRAY = 0.5  # greatest distance from a smooth plane, tag sides: above it some tag may be none of the board's
 MAX_MISFIT = 0.2  # median distance from a smooth plane, tag sides: a wrong hypothesis is off by a whole tag
 

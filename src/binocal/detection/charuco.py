@@ -33,7 +33,7 @@ LEAST_MORE_READ = 2  # faces that must bear their markers in one layout and not 
 # cornerSubPix is off by up to 8 px.
 MOST_PLAIN = 0.5
 LAYOUT_UNKNOWN = "the board's layout (current or legacy) cannot be seen in this image; current taken"
-MIRRORED = "the image shows the board's mirror image; flip the images back"
+MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
 MIN_LAYOUT_RATIO = 3.0  # by which one layout must fit better than the other to be believed
 
 

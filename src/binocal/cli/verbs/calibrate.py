@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_needs
+from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_measured, parse_needs
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, Force, Json, Needs, Seed, Threads, app, finite, present
+from binocal.cli.options import BOARD_HELP, Force, Json, Measured, Needs, Seed, Threads, app, finite, present
 from binocal.errors import CalibrationError, DataError, FormatError
 
 if TYPE_CHECKING:
@@ -45,6 +45,15 @@ class Exposures(enum.StrEnum):
     auto = "auto"
     together = "together"
     apart = "apart"
+
+
+class Channels(enum.StrEnum):
+    """Whose levels corners are measured in; those of :data:`binocal.images.CHANNELS`."""
+
+    grey = "grey"
+    red = "red"
+    green = "green"
+    blue = "blue"
 
 
 MODELS = "|".join(Model)
@@ -119,6 +128,7 @@ def calibrate(
             metavar="FILE",
         ),
     ] = None,
+    measured: Measured = None,
     exposure: Annotated[
         Exposures,
         typer.Option(
@@ -147,6 +157,14 @@ def calibrate(
     preprocess: Annotated[
         bool, typer.Option("--preprocess", help="Filter the images and strengthen their edges first.")
     ] = False,
+    channel: Annotated[
+        Channels,
+        typer.Option(
+            "--channel",
+            help="Of colour images: measure corners in one colour's own levels.",
+            metavar="|".join(Channels),
+        ),
+    ] = Channels.grey,
     max_views: Annotated[
         int | None,
         typer.Option(
@@ -189,6 +207,7 @@ def calibrate(
     from binocal.output import check_output
 
     parsed = _parse_source((left, right), board, corners, zoom)
+    parsed, measured_m = parse_measured(measured, parsed)
     needs = parse_needs(require, is_metric=None if parsed is None else parsed.is_metric)
     check_calibrator(calibrator, CALIBRATORS, load_calibrator)
     kind = evidence_of(calibrator)
@@ -200,8 +219,13 @@ def calibrate(
         raise typer.BadParameter("--at is a setting of --zoom.")
     if board_file is not None and zoom is not None:
         raise typer.BadParameter("--board-file does not go with --zoom.")
-    if corners is not None and (preprocess or board_file is not None):
-        raise typer.BadParameter("--preprocess and --board-file belong to images; leave them out, or --corners.")
+    if measured is not None and (zoom is not None or board_file is not None or kind != "board"):
+        raise typer.BadParameter(
+            "--measured is of a board as drawn; leave it out, or --zoom, --board-file, --calibrator."
+        )
+    if corners is not None and (preprocess or channel is not Channels.grey or board_file is not None):
+        text = "--preprocess, --channel and --board-file belong to images; leave them out, or --corners."
+        raise typer.BadParameter(text)
     if evidence is not None and kind != "board":
         raise typer.BadParameter("--evidence keeps corners of a board; leave it out.")
     if opencv is not None and skew:
@@ -223,15 +247,17 @@ def calibrate(
         request = replace(request, progress=progress)
         if corners is not None or parsed is None:
             assert corners is not None  # there is no other source without a board
-            run = verbs.calibrate_corners(corners, request, calibrator=calibrator)
+            run = verbs.calibrate_corners(corners, request, calibrator=calibrator, measured_m=measured_m)
         elif zoom is not None:
-            run = _calibrate_zoom(zoom, parsed, request, at, preprocess)
+            run = _calibrate_zoom(zoom, parsed, request, at, preprocess, channel.value)
         else:
             run = verbs.calibrate_images(
                 *(str(left), str(right), parsed, request),
                 calibrator=calibrator,
                 preprocess=preprocess,
+                channel=channel.value,
                 measured_board=measured_board,
+                measured_m=measured_m,
             )
         run = verbs.with_checks(run, request) if checks else run
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)
@@ -315,12 +341,12 @@ def _read_prior(path: Path | None, hold: str | None, model: str) -> RigPrior | N
 
 
 def _calibrate_zoom(
-    zoom: Path, board: Board, request: CalibrationRequest, at: float | None, preprocess: bool
+    zoom: Path, board: Board, request: CalibrationRequest, at: float | None, preprocess: bool, channel: str
 ) -> CalibrationRun:
     from binocal import app as verbs
 
     try:
-        return verbs.calibrate_zoom_images(zoom, board, request, setting=at, preprocess=preprocess)
+        return verbs.calibrate_zoom_images(zoom, board, request, setting=at, preprocess=preprocess, channel=channel)
     except ValueError as error:
         raise typer.BadParameter(f"--at: {error}.") from None
 
