@@ -28,10 +28,9 @@ from binocal.shapes import Bool, Float, Int, UInt8
 Layout = Literal["", "current", "legacy"]
 MIN_CORNERS = 4  # of one image: fewer carry no pose; the solver decides on more
 MAX_MISFIT = 0.5  # distance of markers from a smooth plane, sides; a wrong board is off by a whole square
-LEAST_MORE_READ = 2  # faces that must bear their markers in one layout and not in the other, for it to be believed
-# Share of corners that no saddle fits, from which on none of these is taken: where the blur reaches the markers (over 1.2 margins)
-# cornerSubPix is off by up to 8 px.
-MOST_PLAIN = 0.5
+# Faces that must bear their markers in one layout and not in the other, for it to be believed: on real boards the wrong one had
+# up to two more.
+LEAST_MORE_READ = 4
 LAYOUT_UNKNOWN = "the board's layout (current or legacy) cannot be seen in this image; current taken"
 MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
 MIN_LAYOUT_RATIO = 3.0  # by which one layout must fit better than the other to be believed
@@ -190,11 +189,13 @@ def _measure(
         height,
         margin * height,
         per_reach=0.9 * margin,
-        most_plain=1.0 if sighting is None else MOST_PLAIN,
     )
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
     if sighting is not None:
+        is_measured = np.isfinite(points[:, 0])
         points[find_inconsistent(sighting, points, covariance)] = np.nan
+        if is_measured.sum() >= MIN_CORNERS and not np.isfinite(points).any():
+            return not_found(board.n_points, "the image is too blurred: the board's corners run into its markers")
     else:
         points[~_are_x_corners(stretched, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
+from binocal.detection.finding.marker_codes import BLURS_CELLS
 from binocal.detection.finding.marker_search import MarkerSighting
 from binocal.kernels.marker_grids import predict_each
 from binocal.shapes import Bool, Float
@@ -13,6 +14,9 @@ from binocal.shapes import Bool, Float
 # a lens, a bent board and noise have their part in; in its own sigmas; and at least. The lattice's rim is extrapolated.
 MOST_MEDIANS, MOST_SIGMAS, LEAST_PX, RIM_FACTOR = 6.0, 4.0, 0.3, 2.5
 LEAST_MEDIAN_PX = 0.02
+# Where half of the corners are off by more steps, and pixels, none is right: the blur has merged them with their markers (from 1.3
+# margins on; cornerSubPix is then off by up to 8 px). Sharp real boards have up to 0.02 steps, blurred ones that are right 0.008.
+MOST_SCATTER, MOST_SCATTER_BLURRED, MOST_SCATTER_PX = 0.04, 0.01, 0.5
 MOST_ROUNDS = 8
 REACH = 2  # lines: of corners that contradict each other the worst goes first, for the others may be right without it
 
@@ -25,12 +29,15 @@ def find_inconsistent(
     known = points_px[grid.points].copy()
     sigma = np.sqrt(0.5 * np.trace(covariance_px2, axis1=1, axis2=2))[grid.points]
     step = sighting.steps_px(len(points_px))[0][grid.points]
+    most = MOST_SCATTER_BLURRED if sighting.reading.blur_cells >= BLURS_CELLS[-1] else MOST_SCATTER
     is_wrong = np.zeros(known.shape[:2], bool)
     for _ in range(MOST_ROUNDS):
         off = np.linalg.norm(predict_each(grid.lines, known, sighting.reading.lens, _trust(sigma)) - known, axis=-1)
         if not np.isfinite(off).any():
             break
         median = float(np.nanmedian(off / step))
+        if np.nanmedian(off / np.maximum(most * step, MOST_SCATTER_PX)) > 1:
+            return np.isfinite(points_px[:, 0])
         factor = np.where(_is_rim(np.isfinite(known[..., 0])), RIM_FACTOR, 1.0)
         ratio = np.nan_to_num(off / (np.maximum(factor * MOST_MEDIANS * median * step, LEAST_PX) + MOST_SIGMAS * sigma))
         rows, columns = np.nonzero(ratio > 1)

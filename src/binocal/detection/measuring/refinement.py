@@ -32,7 +32,6 @@ def measure_corners(
     strip_px: Float[ndarray, "n"] | None = None,
     *,
     per_reach: float = WINDOW_PER_SPACING,
-    most_plain: float = 1.0,
 ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2 2"], Float[ndarray, "n 2 2"]]:
     """Corners, covariances and cross-covariances by the maximum-likelihood fit, from starts within some pixels.
 
@@ -41,8 +40,7 @@ def measure_corners(
     See :func:`binocal.detection.measuring.corner_fit.fit_corners` for ``reach_px`` and ``strip_px``. Where no saddle can be fitted
     from the start it is tried again from cornerSubPix's corner, whose half-window is ``per_reach`` times the reach; where
     that fails too (squares hardly wider than the blur) cornerSubPix's corner is taken, with its own, larger, covariance;
-    but not where ``strip_px`` bounds what is printed beside it and the paper is burnt out, which spreads one over the other,
-    nor where more than a share ``most_plain`` of the corners would be so.
+    but not where ``strip_px`` bounds what is printed beside it and the paper is burnt out, which spreads one over the other.
     A corner whose surroundings contradict the model (covered, glare) is NaN.
     """
     fitted = fit_corners(grey, points_px, reach_px, strip_px, board=board)
@@ -59,8 +57,6 @@ def measure_corners(
     is_plain = np.isfinite(again[:, 0]) & ~np.isfinite(fitted.misfit)
     if strip_px is not None:
         is_plain &= ~_are_burnt_out(grey, again, reach_px, per_reach)
-    if is_plain.sum() > most_plain * np.isfinite(points_px[:, 0]).sum():
-        is_plain[:] = False
     if is_plain.any():
         points[is_plain] = again[is_plain]
         covariance[is_plain] = corner_covariance(grey, again, reach_px, per_spacing=per_reach)[is_plain]
