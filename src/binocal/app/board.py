@@ -113,6 +113,8 @@ def load_viewer(text: str) -> StereoRig | Camera:
         FormatError: The file holds no rig.
     """
     found = re.fullmatch(r"\s*([0-9.]+)(?:deg|°)?@([1-9][0-9]{0,5})x([1-9][0-9]{0,5})\s*", text)
+    if found is None and re.fullmatch(r"\s*[0-9.]+\s*(deg|°)?\s*(@.*)?", text):
+        raise ValueError(f"{text!r} lacks the image's size: write the horizontal field of view so: 60deg@1280x960")
     if found is None:
         rig = load_rig(text)
         if not rig.is_metric:
