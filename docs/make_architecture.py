@@ -25,6 +25,7 @@ LABELS = {
     "cli": "verbs, tables, exit codes",
     "datasets": "pairs of files",
     "detection": "finding, measuring",
+    "experiments": "cases, methods, seeds to rows",
     "evidence": "corners of all views",
     "findings": "codes and sentences",
     "formats": "rig.json, OpenCV, npz",

@@ -168,7 +168,7 @@ def _with_corners(
         return calibration, None, (NO_CORNERS,)
     if board is None:
         raise DataError(f"{rig} does not name the board; give it with --board.")
-    detections = find_corners(request.left, request.right, board, False, progress, None).detections
+    detections = find_corners(request.left, request.right, board, None, progress, None).detections
     return calibration.with_evidence(detections), detections, ()
 
 

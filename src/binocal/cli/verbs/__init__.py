@@ -17,6 +17,7 @@ from binocal.cli.verbs import (  # noqa: F401 - each adds its own
     rectified,
     natural,
     train,
+    experiment,
     bench,
 )
 from binocal.cli.options import app
