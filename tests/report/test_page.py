@@ -33,6 +33,7 @@ from binocal.report import printing
 from binocal.report.headline import headline_of
 from binocal.report.svg import figure_svg, themed
 from binocal.requirements import parse_requirement
+from binocal.result import Covariance
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
 RIG, SPEC = table2_rig(), "chessboard:6x5:30mm"
@@ -164,6 +165,21 @@ def test_without_corners_the_page_says_so(folder, tmp_path):
     run = write_report(tmp_path / "rig.json", tmp_path / "report.html")
     assert any("--evidence" in note for note in run.notes)
     assert 'id="coverage"' not in run.page and 'id="figures"' in run.page
+
+
+def test_a_rig_of_which_little_is_known_has_a_page(folder, tmp_path):
+    calibration = read_calibration(folder / "rig.json")
+    bare = replace(
+        calibration, views=(), T_left_board=None, covariance=Covariance((), np.zeros((0, 0))), mean_board_pose=None, board_shape=None,
+        findings=(), provenance={},
+    )  # fmt: skip
+    run = make_report(bare, tmp_path / "rig.json")
+    assert len(run.notes) == 2 and "where the boards were" in run.notes[1]
+    assert (
+        'id="rig"' in run.page
+        and 'id="depth"' not in run.page
+        and "nan" not in run.page.partition("<script")[0].lower()
+    )
 
 
 def test_corners_of_another_rig_are_refused(folder, tmp_path, capsys):
