@@ -124,3 +124,11 @@ def test_other_dictionaries(shoot, spec):
     shot = shoot(spec, size_wh=(800, 600), distance=1.9)
     found = detect(shot.image, shot.board)
     assert found.is_seen.all() and np.abs(found.points_px - shot.corners_px).max() < 0.15
+
+
+def test_markers_from_another_id_on(shoot):
+    shot = shoot("charuco:8x6:30mm:22mm:DICT_5X5_100:40", size_wh=(800, 600), distance=1.9)
+    found = detect(shot.image, shot.board)
+    assert found.is_seen.all() and np.abs(found.points_px - shot.corners_px).max() < 0.15, found.reason
+    other = detect(shot.image, parse_board(SPEC))
+    assert not other.is_found

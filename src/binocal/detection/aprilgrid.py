@@ -1,4 +1,4 @@
-"""AprilGrids: grids of 36h11 tags whose corners touch small black squares, as Kalibr prints them, or touch nothing.
+"""AprilGrids: grids of AprilTags whose corners touch small black squares, as Kalibr prints them, or touch nothing.
 
 Prints differ in three ways that the images show: the tag's black border is one or two bits wide (Kalibr: two), ids
 count from the top-left or from the bottom-left tag (Kalibr), and a tag's own up may be turned against the board's.
@@ -32,7 +32,6 @@ L_CORNER_BIAS_PX = (
     0.1  # cornerSubPix on tag corners that touch nothing; measured 0.08 to 0.10 on rendered grids, blur 0.8 px
 )
 MUCH_MORE = 1.5  # times as many tags with the narrow border as with the wide one, for it to be the board's
-NARROWEST_BORDER = 0.125  # of a tag's side: one bit beside eight
 LEAST_MORE_READ = 2  # tags that must be where one layout demands them and not where another does, for it to be believed
 LAYOUT_UNKNOWN = "which way the ids run cannot be seen in this image; from the bottom taken"
 MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
@@ -70,8 +69,8 @@ def _detect_by_lattice(
 ) -> tuple[FoundBoard | None, TagLayout | None, bool]:
     """The board by its lattice, None where none is seen; the layout that is proved; whether a mirror image was seen."""
     layouts = (layout,) if layout else _LAYOUTS
-    grids = [april_grid(board, each.is_bottom_up, each.turns, NARROWEST_BORDER) for each in layouts]
-    kinds = [CodeKind("DICT_APRILTAG_36h11", border_bits, 0.0, board.tag_gap_ratio) for border_bits in (2, 1)]
+    grids = [april_grid(board, each.is_bottom_up, each.turns, _border_share(board, 1)) for each in layouts]
+    kinds = [CodeKind(board.marker_dictionary, border_bits, 0.0, board.tag_gap_ratio) for border_bits in (2, 1)]
     search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else MIN_TAGS)
     if not search.sightings:
         return None, None, search.is_mirrored
@@ -87,9 +86,11 @@ def _detect_by_tags(
     grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board, layout: TagLayout | None
 ) -> tuple[FoundBoard, TagLayout | None]:
     """The board by its tags alone, which OpenCV finds: where their corners touch no squares there is no lattice."""
-    ids, quads, border_bits = find_tags(stretched, board.columns * board.rows)
+    ids, quads, border_bits = find_tags(stretched, board.columns * board.rows, board.marker_dictionary)
     if len(ids) == 0:
-        return not_found(board.n_points, "no tag of the family 36h11 found"), None
+        return not_found(
+            board.n_points, f"no tag of the family {(board.dictionary or 'tag36h11').removeprefix('tag')} found"
+        ), None
     tags = ids - board.first_tag_id
     known = (tags >= 0) & (tags < board.columns * board.rows)
     if not known.any():
@@ -133,13 +134,15 @@ def _detect_by_tags(
 _LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (True, False) for turns in range(4))
 
 
-def find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
+def find_tags(
+    grey8: ndarray, n_tags: int, family: str = "DICT_APRILTAG_36h11"
+) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
     """Tags of either border width, in the image with its dark parts thinned by a pixel and, if need be, as it is.
 
     Thinning parts the tags from the small squares that touch their corners and would merge them into one outline; it
     shrinks a tag by a pixel on each side, which refinement takes back.
     """
-    dictionary = get_dictionary("DICT_APRILTAG_36h11")
+    dictionary = get_dictionary(family)
     thinned = cv2.dilate(grey8, np.ones((3, 3), np.uint8))
     best: tuple[ndarray, ndarray, int] = (np.zeros(0, int), np.zeros((0, 4, 2)), 2)
     for image, grow in ((thinned, 1.0), (grey8, 0.0)):
@@ -191,7 +194,7 @@ def _measure_lattice(grey: ndarray, board: Board, sighting: MarkerSighting) -> F
     """The corners of a lattice, where tags and small squares meet."""
     rough = sighting.points_px(board.n_points)
     side, height = sighting.steps_px(board.n_points)
-    border = _border_share(sighting.reading.kind.border_bits)
+    border = _border_share(board, sighting.reading.kind.border_bits)
     # The window ends where the small square or the tag's code begins.
     points, covariance, cross = measure_corners(
         grey,
@@ -215,7 +218,7 @@ def _measure_tags(
     border_bits: int,
 ) -> FoundBoard:
     """The corners of tags about their rough places, NaN where unknown; ``side`` is the tags' there."""
-    border = _border_share(border_bits)
+    border = _border_share(board, border_bits)
     window_per_side = 0.75 * min(board.tag_gap_ratio, border)
     points = refine_corners(grey, rough, side, per_spacing=window_per_side)
     seen = np.isfinite(points[:, 0])
@@ -245,8 +248,9 @@ def _measure_tags(
     return replace(found, note=note)
 
 
-def _border_share(border_bits: int) -> float:
-    return border_bits / (6 + 2 * border_bits)
+def _border_share(board: Board, border_bits: int) -> float:
+    """Width of the tags' border, in their sides."""
+    return border_bits / (get_dictionary(board.marker_dictionary).markerSize + 2 * border_bits)
 
 
 def _are_near(points: ndarray, rough: ndarray, side: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:

@@ -85,7 +85,7 @@ def _detect_by_lattice(
     grids = [charuco_grid(board, name == "legacy") for name in layouts]
     inset = grids[0].free
     kinds = [CodeKind(board.dictionary, 1, inset, inset / (1 - 2 * inset))]
-    search = search_markers(stretched, grids, kinds, 0, least_sure=1 if layout else LEAST_SURE)
+    search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else LEAST_SURE)
     if not search.sightings:
         return None, "", search.is_mirrored
     best, *others = search.sightings
@@ -107,9 +107,12 @@ def _detect_by_markers(
     if len(ids) == 0:
         return not_found(board.n_points, f"no marker of {board.dictionary} found"), ""
     n_board = len(marker_squares(board, "legacy"))  # where the counts differ, the legacy layout has one more
-    known = ids < n_board
+    ids = ids - board.first_tag_id
+    known = (ids >= 0) & (ids < n_board)
     if not known.any():
-        return not_found(board.n_points, f"markers have ids from {ids.min()} on; the board has 0 to {n_board - 1}"), ""
+        first = board.first_tag_id
+        has = f"the board has {first} to {first + n_board - 1}"
+        return not_found(board.n_points, f"markers have ids from {ids.min() + first} on; {has}"), ""
     ids, quads = ids[known], quads[known]
     readings, is_stray = _read_without_strays(board, ids, quads, (grey.shape[1], grey.shape[0]))
     ids, quads = ids[~is_stray], quads[~is_stray]
