@@ -205,7 +205,7 @@ def _measure_lattice(grey: ndarray, board: Board, sighting: MarkerSighting) -> F
         per_reach=0.75 * min(1.0, border / board.tag_gap_ratio),
     )
     points[~_are_near(points, rough, side)] = np.nan
-    points[find_inconsistent(sighting, points, covariance)] = np.nan
+    points[find_inconsistent(sighting, points, covariance, side)] = np.nan
     return _as_found(grey, board, points, covariance, cross, side)
 
 

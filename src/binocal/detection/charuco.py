@@ -196,7 +196,7 @@ def _measure(
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
     if sighting is not None:
         is_measured = np.isfinite(points[:, 0])
-        points[find_inconsistent(sighting, points, covariance)] = np.nan
+        points[find_inconsistent(sighting, points, covariance, spacing)] = np.nan
         if is_measured.sum() >= MIN_CORNERS and not np.isfinite(points).any():
             return not_found(board.n_points, "the image is too blurred: the board's corners run into its markers")
     else:

@@ -22,13 +22,19 @@ REACH = 2  # lines: of corners that contradict each other the worst goes first, 
 
 
 def find_inconsistent(
-    sighting: MarkerSighting, points_px: Float[ndarray, "n 2"], covariance_px2: Float[ndarray, "n 2 2"]
+    sighting: MarkerSighting,
+    points_px: Float[ndarray, "n 2"],
+    covariance_px2: Float[ndarray, "n 2 2"],
+    step_px: Float[ndarray, "n"],
 ) -> Bool[ndarray, "n"]:
-    """Which of the board's points, in its own order, lie elsewhere than their neighbours put them."""
+    """Which of the board's points, in its own order, lie elsewhere than their neighbours put them.
+
+    ``step_px`` is the shorter side of a marker's face at each.
+    """
     grid = sighting.grid
     known = points_px[grid.points].copy()
     sigma = np.sqrt(0.5 * np.trace(covariance_px2, axis1=1, axis2=2))[grid.points]
-    step = sighting.steps_px(len(points_px))[0][grid.points]
+    step = step_px[grid.points]
     most = MOST_SCATTER_BLURRED if sighting.reading.blur_cells >= BLURS_CELLS[-1] else MOST_SCATTER
     is_wrong = np.zeros(known.shape[:2], bool)
     for _ in range(MOST_ROUNDS):

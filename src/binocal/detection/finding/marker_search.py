@@ -175,6 +175,7 @@ def search_markers(
     n_markers, is_mirrored, n_before = 0, False, 0
     for saddles, scale in scaled_saddles(image, marker_level_settings):
         peaks, faces = _find_faces(saddles, scale, most, least_side_px)
+        readings = None
         if not sightings:
             readings, reading, mirrored = _read_first(image, faces, grids, kinds, first_id, n_ids)
             is_mirrored |= mirrored
@@ -183,7 +184,10 @@ def search_markers(
             n_markers = max(n_markers, int(readings.is_sure.sum()))
             sightings = _vote(readings, reading, grids, least_sure)
         for sighting in sightings:
-            _join(image, sighting, faces, first_id)
+            if readings is None:  # all sightings are read in one way
+                quads = faces.of(sighting.grid.is_dark == sighting.reading.is_inverted)
+                readings = _read_all(image, quads, sighting.reading, first_id, n_ids)
+            _join(sighting, readings)
             _follow_lens(sighting, (image.shape[1], image.shape[0]))
             _grow(sighting, saddles, scale, peaks)
             if _follow_lens(sighting, (image.shape[1], image.shape[0])):
@@ -345,10 +349,10 @@ def _start(number: int, grid: MarkerGrid, way: ReadingWay, voters: _Readings) ->
     return MarkerSighting(number, grid, way, known, np.isfinite(known[..., 0]))
 
 
-def _join(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, faces: _Faces, first_id: int) -> None:
+def _join(sighting: MarkerSighting, readings: _Readings) -> None:
     """Adds markers that are read, and lie about where those already known put them: behind a gap, or seen at this level only."""
     grid, way = sighting.grid, sighting.reading
-    readings = _read_all(image, faces.of(grid.is_dark == way.is_inverted), way, first_id, len(grid.faces))
+    readings = readings[readings.index < len(grid.faces)]
     inner = grid.is_inner[readings.index] & (readings.likeness >= LIKELY)
     crossings = grid.crossings()
     corners = grid.corners()
