@@ -184,7 +184,7 @@ def _opencv_charuco(board: Board) -> Callable[[ndarray], ndarray]:
         corners, ids, _, _ = detector.detectBoard(image)
         points = np.full((board.n_points, 2), np.nan)
         if ids is not None:
-            points[ids.ravel()] = corners.reshape(-1, 2)
+            points[ids.ravel().astype(int)] = corners.reshape(-1, 2)
         return points
 
     return find
@@ -205,7 +205,8 @@ def _opencv_tags(board: Board) -> Callable[[ndarray], ndarray]:
         points = np.full((board.n_points, 2), np.nan)
         for quad, tag in zip(quads, [] if ids is None else ids.ravel(), strict=True):
             if int(tag) in place:  # OpenCV holds the family turned by 180 degrees
-                points[4 * place[int(tag)] + np.arange(4)] = np.roll(quad.reshape(4, 2), 2, axis=0)
+                first = 4 * place[int(tag)]
+                points[first : first + 4] = np.roll(quad.reshape(4, 2), 2, axis=0)
         return points
 
     return find
