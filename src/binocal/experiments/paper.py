@@ -7,8 +7,11 @@ from typing import Any
 
 from binocal.experiments.boards import MODEL, RenderedBoards, board_errors, nominal_rig
 from binocal.experiments.case import AtBound, ByCalibrator, Case, Method, PriorUnchanged, by_calibrator
+from binocal.experiments.colours import colour_cases
 from binocal.experiments.guesses import AsPrinted, guess_cases
 from binocal.experiments.options import ExperimentOptions
+from binocal.experiments.preparations import preparation_cases
+from binocal.experiments.target_distance import distance_cases
 
 LENGTH = "relative length error"
 CORRECT = "parameters correct (eq. 20)"
@@ -67,9 +70,11 @@ def left_out() -> Mapping[str, str]:
 
 def experiment_document(options: ExperimentOptions) -> dict[str, Any]:
     """What an experiment of these options is, for its journal."""
-    return {"model": MODEL, "boards": list(BOARDS), "version": 1} | options.document()
+    return {"model": MODEL, "boards": list(BOARDS), "version": 2} | options.document()
 
 
 def cases_of(options: ExperimentOptions) -> Sequence[Case]:
     """All cases, in the order of the page."""
-    return [*board_cases(options), *guess_cases(nominal_rig())]
+    paper = [*board_cases(options), *guess_cases(nominal_rig())]
+    rendered = [] if options.is_quick else [*preparation_cases(), *colour_cases()]
+    return [*paper, *distance_cases(), *rendered]
