@@ -6,7 +6,7 @@ The modules' order is that of the help.
 from __future__ import annotations
 
 # isort: off
-# each adds its own to the app
+# ruff: noqa: F401 - each adds its own to the app
 from binocal.cli.verbs import (
     demo,
     calibrate,
@@ -18,7 +18,7 @@ from binocal.cli.verbs import (
     train,
     experiment,
     bench,
-)  # noqa: F401
+)
 from binocal.cli.options import app
 
 # isort: on
