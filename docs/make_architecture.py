@@ -37,7 +37,7 @@ LABELS = {
     "metrics": "figures of merit",
     "planning": "which views to take next",
     "rectification": "maps, disparity, depth",
-    "report": "figures",
+    "report": "figures, pages",
     "requirements": "what a user needs, verdicts",
     "result": "a calibration",
     "rl": "agent, environment, training",

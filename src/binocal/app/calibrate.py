@@ -83,7 +83,7 @@ def calibrate_images(
         CalibrationError: No trustworthy rig follows from them.
         CancelledError: ``request.should_stop`` returned True.
     """
-    from binocal.detection import Preparation
+    from binocal.images.preprocessing import Preparation
 
     request = request or CalibrationRequest()
     started = time.perf_counter()

@@ -6,12 +6,12 @@ The modules' order is that of the help.
 from __future__ import annotations
 
 # isort: off
-# ruff: noqa: F401 - each adds its own to the app
-from binocal.cli.verbs import (
+from binocal.cli.verbs import (  # noqa: F401 - each adds its own
     demo,
     calibrate,
     simulate,
     evaluate,
+    report,
     channels,
     rectified,
     natural,
