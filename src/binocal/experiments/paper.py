@@ -62,8 +62,8 @@ def board_cases(options: ExperimentOptions) -> list[Case]:
 def left_out() -> Mapping[str, str]:
     """Calibrators that are no row of these tables, and why."""
     return {
-        "rectangles": "works from rectangles of unknown size before turning cameras: `binocal bench related`",
-        "zoom": "works from boards at several zoom settings: `binocal bench related`",
+        "rectangles": "works from rectangles of unknown size before turning cameras: binocal bench related",
+        "zoom": "works from boards at several zoom settings: binocal bench related",
     }
 
 
