@@ -36,6 +36,7 @@ LABELS = {
     "matching": "points that both cameras saw",
     "metrics": "figures of merit",
     "planning": "which views to take next",
+    "printing": "boards on paper and screens",
     "rectification": "maps, disparity, depth",
     "report": "figures, pages",
     "requirements": "what a user needs, verdicts",

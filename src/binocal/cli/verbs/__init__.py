@@ -8,6 +8,7 @@ from __future__ import annotations
 # isort: off
 from binocal.cli.verbs import (  # noqa: F401 - each adds its own
     demo,
+    board,
     calibrate,
     simulate,
     evaluate,
