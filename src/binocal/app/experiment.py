@@ -80,6 +80,8 @@ def experiment(
     from binocal.experiments.real_boards import real_board_cases
     from binocal.experiments.run import rows_of, run_cases
     from binocal.experiments.stability import stability_rows
+    from binocal.experiments.trained import histories_in
+    from binocal.report.training import training_drawing
 
     options = options or ExperimentOptions()
     folder = check_experiment_folder(output, force=force)
@@ -97,7 +99,7 @@ def experiment(
             (folder / RESULTS).unlink(missing_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: the output's folder cannot be made: {error.strerror}.") from None
-    cases, seeds = [*cases_of(options), *real], options.seeds
+    cases, seeds = [*cases_of(options, folder), *real], options.seeds
     journal = Journal(folder / JOURNAL, experiment_document(options) | {"binocal": __version__})
     try:
         results = run_cases(
@@ -112,7 +114,9 @@ def experiment(
         journal.close()
     rows = [*rows_of(cases, seeds, results), *stability_rows(cases, seeds, results), *timed_rows]
     run = ExperimentRun(rows, folder, was_resumed)
-    files = page_files(paper_page(options, rows)) | {
+    histories = histories_in(folder, seeds)
+    given = {"training.svg": training_drawing(histories).decode()} if histories else {}
+    files = page_files(paper_page(options, rows), given) | {
         TIMES: times_text(rows),
         RESULTS: dump_json(jsonable(run.document())),
     }
