@@ -50,10 +50,11 @@ def draw_depth_over_range(axes: Axes, ranges: Sequence[RangeMap], unit: str) -> 
     return tips
 
 
-def draw_depth_map(axes: Axes, at: RangeMap, size_wh: tuple[int, int], unit: str) -> Sequence[Tip]:
-    """The 95 % error of depth that the calibration leaves, over the left image at one range; blank where only one camera sees."""
-    image_axes(axes, size_wh, f"95 % error of calibrated depth at {at.field.depth_m:.3g} {unit}")
-    percent = 100 * COVERAGE * at.depth.calibration_m / at.depth.depth_m
+def draw_depth_map(axes: Axes, at: RangeMap, size_wh: tuple[int, int], unit: str, cause: str) -> Sequence[Tip]:
+    """The 95 % error of depth by one cause (calibration, matching) over the left image at one range; blank where one camera sees."""
+    image_axes(axes, size_wh, f"depth at {at.field.depth_m:.3g} {unit}, {cause}")
+    sigma_m = at.depth.calibration_m if cause == "calibration" else at.depth.matching_m
+    percent = 100 * COVERAGE * sigma_m / at.depth.depth_m
     return draw_map(axes, at.field.left_px, np.where(at.field.is_common, percent, np.nan), "%")
 
 

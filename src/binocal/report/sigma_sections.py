@@ -80,12 +80,15 @@ def depth_section(contents: ReportContents) -> Section | None:
         title="95 % error of depth over range, by cause",
         height=image_height(rig.left.size_wh, WIDTH_INCHES),
     )
-    over_image = figure_svg(
-        lambda axes: sigma_figures.draw_depth_map(axes, at, rig.left.size_wh, unit),
-        name="depth-image",
-        title="95 % error of depth that the calibration leaves, over the left image",
-        height=image_height(rig.left.size_wh, WIDTH_INCHES),
-    )
+    over_image = [
+        figure_svg(
+            lambda axes, at=at, cause=cause: sigma_figures.draw_depth_map(axes, at, rig.left.size_wh, unit, cause),
+            name=f"depth-{cause}",
+            title=f"95 % error of depth over the left image, the part of {cause}",
+            height=image_height(rig.left.size_wh, WIDTH_INCHES),
+        )
+        for cause in ("calibration", "matching")
+    ]
     rows = []
     for m in seen:
         middle, worst, row = m.field.middle, m.worst, m.row_px[m.field.middle]
@@ -113,7 +116,8 @@ def depth_section(contents: ReportContents) -> Section | None:
         f"(a disparity good to {contents.matching_px:g} px is assumed) another in every pixel.",
         (
             Picture(over_range, "In the middle of what both cameras see, and at its worst place."),
-            Picture(over_image, "Blank where only one camera sees."),
+            Picture(over_image[0], "95 %, what the calibration leaves; blank where only one camera sees."),
+            Picture(over_image[1], f"95 %, what matching to {contents.matching_px:g} px leaves."),
         ),
         (Table(head, tuple(rows), "95 % errors in the middle of the common view"),),
     )
