@@ -8,6 +8,7 @@ import html
 import json
 import re
 import subprocess
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -221,13 +222,16 @@ def test_wrong_use_is_one_line_and_its_exit_code(folder, tmp_path, capsys, monke
         ([str(folder / "none.json")], 3, "none.json"),
         ([str(folder / "corners.npz")], 3, "corners.npz"),
         ([rig, "--output", str(folder)], 3, "is a folder"),
+        ([rig, "--output", str(folder / "rig.json" / "r.html")], 3, "cannot be made"),
     ):
         assert main(["report", *arguments, *([] if "--output" in arguments else ["--output", out])]) == code, arguments
         error = capsys.readouterr().err
         assert words in error and error.count("\n") == 1, error
-    monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
-    assert main(["report", rig, "--output", out]) == 1
-    assert "pip install 'binocal[report]'" in capsys.readouterr().err
+    for missing in ("jinja2", "matplotlib"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, missing, None)
+            assert main(["report", rig, "--output", out]) == 1
+        assert "pip install 'binocal[report]'" in capsys.readouterr().err
 
 
 def test_the_verb_prints_the_verdict(folder, tmp_path, capsys, undrawn):
