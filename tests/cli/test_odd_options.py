@@ -125,7 +125,7 @@ def test_patterns_that_the_shell_expanded_are_named(tmp_path, capsys):
         (f"targetCols: {'9' * 6000}", "thousands of digits"),
         (
             "{target_type: checkerboard, targetCols: 9, targetRows: 6, colSpacingMeters: 0x14, rowSpacingMeters: 0x14}",
-            "colSpacingMeters must be a positive number; got '0x14'",
+            "colSpacingMeters must be a positive number; got the text '0x14'",
         ),
     ],
 )

@@ -69,6 +69,31 @@ def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
     return Board("acircles" if is_staggered else "circles", columns, rows, _number(target, "spacingMeters"))
 
 
+def format_kalibr_target(board: Board) -> str:
+    """The text of Kalibr's target file for a board; :func:`load_board` reads it back to the same board.
+
+    Raises:
+        ValueError: Kalibr has no such boards, or the board has no scale.
+    """
+    if board.kind == "charuco":
+        raise ValueError("Kalibr knows no ChArUco boards")
+    if not board.is_metric:
+        raise ValueError("a target of Kalibr has its lengths in metres: give the board's a unit, such as 20mm")
+    if board.kind == "aprilgrid":
+        if board.dictionary != "tag36h11" or board.first_tag_id != 0:
+            raise ValueError("Kalibr knows AprilGrids of the family tag36h11 from id 0 on alone")
+        lines = {"tagCols": board.columns, "tagRows": board.rows}
+        lines |= {"tagSize": board.pitch_m, "tagSpacing": board.tag_gap_ratio}
+    else:
+        lines = {"targetCols": board.columns, "targetRows": board.rows}
+        if board.kind == "chessboard":
+            lines |= {"rowSpacingMeters": board.pitch_m, "colSpacingMeters": board.pitch_m}
+        else:
+            lines |= {"spacingMeters": board.pitch_m, "asymmetricGrid": board.kind == "acircles"}
+    kind = {"aprilgrid": "aprilgrid", "chessboard": "checkerboard"}.get(board.kind, "circlegrid")
+    return "".join(f"{key}: {value!r}\n" for key, value in {"target_type": kind, **lines}.items())
+
+
 def _count(target: Mapping[str, Any], key: str) -> int:
     """A whole number of tags, corners or circles."""
     value = target[key]

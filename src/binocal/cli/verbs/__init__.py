@@ -8,6 +8,7 @@ from __future__ import annotations
 # isort: off
 from binocal.cli.verbs import (  # noqa: F401 - each adds its own
     demo,
+    board,
     calibrate,
     simulate,
     evaluate,
@@ -16,6 +17,7 @@ from binocal.cli.verbs import (  # noqa: F401 - each adds its own
     rectified,
     natural,
     train,
+    experiment,
     bench,
 )
 from binocal.cli.options import app
