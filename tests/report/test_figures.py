@@ -16,6 +16,7 @@ from binocal.report.corner_figures import (
     draw_views,
     enlargement,
 )
+from binocal.report.numbers import three_digits, two_digits
 from binocal.report.rig_figures import draw_board
 from binocal.report.svg import figure_svg
 from binocal.result import BoardShape
@@ -86,3 +87,8 @@ def test_ten_thousand_views_make_no_larger_figures():
         lambda axes: draw_view_means(axes, names, rng.normal(0, 1, (10_000, 4))), name="m", title="means"
     )
     assert len(figure.svg) < 1_000_000 and len(figure.tips) <= 300
+
+
+def test_large_numbers_have_no_powers_of_ten():
+    assert [two_digits(v) for v in (0.01234, 99.4, 171.3, 12345.0)] == ["0.012", "99", "171", "12345"]
+    assert [three_digits(v) for v in (0.01234, 999.4, 1234.5)] == ["0.0123", "999", "1234"]

@@ -159,7 +159,10 @@ def test_warnings_come_before_depth(folder):
 
 def test_the_plan_is_drawn_and_what_comes_next_said(page):
     assert "Outlines of the boards to show next in the left image, for depth 0.01% at 2m" in page
-    assert re.search(r"<li>Add the \d+ views? drawn below, which (does not meet|meets) depth 0.01% at 2m", page)
+    assert re.search(
+        r"<li>Add the (\d+ views|view) drawn below for depth 0.01% at 2m: [\d.]+ % becomes [\d.]+ %, which is (not )?enough",
+        page,
+    )
 
 
 def test_without_corners_the_page_says_so(folder, tmp_path):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy import ndarray
 
+from binocal.report.numbers import two_digits
 from binocal.report.svg import MAP_COLOURS, Tip
 from binocal.shapes import Float
 
@@ -70,7 +71,7 @@ def draw_map(
         drawn = axes.contourf(px[..., 0], px[..., 1], shown, levels=levels, cmap=MAP_COLOURS, norm=norm)
         bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
         bar.outline.set_visible(False)
-        bar.ax.set_yticks(levels[::2], [f"{level:.2g}" if level < 99.5 else f"{level:.0f}" for level in levels[::2]])
+        bar.ax.set_yticks(levels[::2], [two_digits(level) for level in levels[::2]])
     return tuple(
         Tip(float(x), float(y), f"{value:.3g} {unit} at ({x:.0f}, {y:.0f})")
         for (x, y), value in zip(px[known].tolist(), values[known].tolist(), strict=True)

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from binocal.evidence import Detections
 from binocal.report.contents import ReportContents, ViewImages
-from binocal.report.headline import two_digits
+from binocal.report.numbers import two_digits
 from binocal.report.section import Photo, Section, Table, ViewCard
 from binocal.result import StereoCalibration, ViewResult
 from binocal.shapes import Float

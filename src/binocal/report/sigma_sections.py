@@ -7,7 +7,7 @@ import numpy as np
 from binocal.report import sigma_figures
 from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
-from binocal.report.headline import two_digits
+from binocal.report.numbers import three_digits, two_digits
 from binocal.report.section import Picture, Section, Table
 from binocal.report.svg import WIDTH_INCHES, figure_svg
 from binocal.requirements.figures import COVERAGE
@@ -103,7 +103,7 @@ def depth_section(contents: ReportContents) -> Section | None:
         ]
         rows.append(
             (
-                f"{m.field.depth_m:.3g} {unit}",
+                f"{three_digits(m.field.depth_m)} {unit}",
                 *(f"{two_digits(value)} %" for value in percent),
                 f"{two_digits(COVERAGE * float(row))} px" if np.isfinite(row) else "unknown",
             )
