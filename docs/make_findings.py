@@ -106,7 +106,7 @@ EXPLANATIONS = {
         AprilGrid or a circle grid of any size. Two of them must agree. A chessboard and circles are proposed where detection finds
         them under that very SPEC; a marker board where the ids of its markers fit the places at which they lie for one number of
         columns only, and its number of rows where an image shows its end. The marker's side, which is measured to some percent,
-        is left to you.""",
+        is left to you. Markers in mirrored images cannot be read: the board is looked for in the mirrored image too.""",
     "markers-too-small": """
         The squares of a ChArUco board are found when they are 7 px wide. Its markers are read by their code: rendered
         sharp, all are read where a cell of the code is 2.5 px wide, half of them at 1.8 px, none at 1 px. Without markers it is
@@ -186,7 +186,8 @@ EXPLANATIONS = {
     "cameras-exchanged": """
         Seen from either camera, the one called right stands to the left. Nothing is wrong with the numbers; most stereo
         software expects the other order. Of a rig with one camera upside down or on its side this is not said: there the two
-        cameras see their order differently, and exchanging them would change nothing.""",
+        cameras see their order differently, and exchanging them would change nothing. Mirrored images of both cameras, as
+        some webcams give them, look the same: a chessboard is its own mirror image.""",
     "corner-orders-repaired": """
         A chessboard with an even and an odd number of squares has no upside-down, others have. The two cameras numbered the
         corners from different ends in most views; they were put into one order. A camera that is mounted upside down does so,

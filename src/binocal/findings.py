@@ -512,7 +512,8 @@ _KINDS = (
     FindingKind(
         "cameras-exchanged", _W, "The camera called right stands to the left",
         "left and right look exchanged: seen from either camera, the one called right stands to the left (T.x > 0); {remedy}.",
-        "the calibration holds for the names as given, exchange --left and --right for the usual order",
+        "the calibration holds for the images as given; exchange --left and --right for the usual order, or, where both cameras "
+        "mirror their images, turn that off",
     ),
     FindingKind(
         "corner-orders-repaired", _W, "Most views had their corner order repaired",

@@ -6,8 +6,9 @@ import pytest
 
 from binocal.boards import parse_board
 from binocal.datasets import ImagePair, list_pairs
-from binocal.detection import Preparation, detect_pairs
+from binocal.detection import detect_pairs
 from binocal.errors import CancelledError, DataError, DetectionError
+from binocal.images.preprocessing import Preparation
 
 BOARD = parse_board("chessboard:7x6:30mm")
 TURNS = [(0.25, -0.3, 0.1), (-0.3, 0.2, 0.2), (0.3, 0.3, -0.2), (0.1, -0.4, 0.0)]

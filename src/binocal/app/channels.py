@@ -88,8 +88,8 @@ def study_channels(
         DataError: The images cannot be used, or have no colours.
         CancelledError: ``should_stop`` returned True.
     """
-    from binocal.detection import Preparation
     from binocal.images import CHANNELS
+    from binocal.images.preprocessing import Preparation
 
     request = replace(request or CalibrationRequest(), should_stop=should_stop)
     found: dict[str, Detections] = {}
@@ -129,8 +129,8 @@ def _aberration(reference: Detections, other: Detections, side: str) -> Aberrati
     names = [name for name in reference.names if name in other.names]
     if not names:
         return None
-    pixels = [getattr(of, f"{side}_px")[[of.names.index(name) for name in names]] for of in (reference, other)]
-    return chromatic_aberration(*pixels, getattr(reference, f"{side}_size_wh"))
+    first, second = (getattr(of, f"{side}_px")[[of.names.index(name) for name in names]] for of in (reference, other))
+    return chromatic_aberration(first, second, getattr(reference, f"{side}_size_wh"))
 
 
 def _row(

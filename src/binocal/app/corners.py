@@ -14,7 +14,7 @@ from binocal.progress import ProgressCallback, ShouldStop, stage_of
 from binocal.result import RejectedView
 
 if TYPE_CHECKING:
-    from binocal.detection import Preparation
+    from binocal.images.preprocessing import Preparation
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,9 +40,9 @@ def calibrate_zoom_images(
         ValueError: ``setting`` is outside of those listed.
     """
     from binocal.calibrators import calibrate_as_requested
-    from binocal.detection import Preparation
     from binocal.evidence.zoom_settings import ZoomSettings
     from binocal.formats.zoom_csv import read_zoom_settings
+    from binocal.images.preprocessing import Preparation
 
     request = request or CalibrationRequest()
     started = time.perf_counter()

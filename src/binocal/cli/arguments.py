@@ -39,6 +39,24 @@ def parse_length(text: str | None) -> float | None:
     return length_m
 
 
+def parse_measured(text: str | None, board: Any) -> tuple[Any, tuple[float, float] | None]:
+    """The board, with a scale if it had none, and the two distances of ``--measured``, metres.
+
+    Distances far from the board's own are refused before its images are read.
+    """
+    if text is None:
+        return board, None
+    from binocal.boards import measured
+
+    try:
+        measured_m = measured.parse_measured(text)
+        if board is not None:
+            board, _ = measured.board_as_measured(board, measured_m)
+    except ValueError as error:
+        raise typer.BadParameter(f"--measured: {error}") from None
+    return board, measured_m
+
+
 def parse_known_length(text: str) -> Any:
     """``PAIR:X1,Y1:X2,Y2=LENGTH``, the length perhaps with what it is uncertain by: ``1.500m+-2mm``."""
     import numpy as np

@@ -18,11 +18,11 @@ from binocal.boards import Board
 from binocal.datasets.folder import ImagePair, Pairing
 from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
-from binocal.detection.preprocessing import Preparation
 from binocal.detection.unseen_boards import LookedAt, require_board
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
 from binocal.evidence import Detections
 from binocal.images.opencv_settings import single_threaded_opencv
+from binocal.images.preprocessing import Preparation
 from binocal.result import RejectedView
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's images; with fewer it is not clear which size the camera has
