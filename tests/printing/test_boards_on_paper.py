@@ -12,6 +12,7 @@ import binocal
 from binocal.app.board import PrintRequest, lay_out_pages, print_board
 from binocal.boards import Board, load_board, parse_board
 from binocal.boards.measured import measured_box_m
+from binocal.printing.board_shapes import PrintStyle
 from binocal.printing.drawing import Page
 from binocal.printing.paper import PAPERS, parse_paper, smallest_paper
 from binocal.printing.pdf import pdf_content
@@ -34,7 +35,7 @@ KINDS = [
 def small_page(spec: str, is_legacy: bool = False) -> tuple[Board, Page]:
     """A board on a page of 3 x 2.5 inches without notes."""
     board = parse_board(spec)
-    request = PrintRequest((3 * INCH, 2.5 * INCH), sheet=SheetOptions(4.0, False, is_legacy_charuco=is_legacy))
+    request = PrintRequest((3 * INCH, 2.5 * INCH), sheet=SheetOptions(4.0, False, PrintStyle(is_legacy)))
     (page,) = lay_out_pages(board, request)
     return board, page
 
@@ -79,6 +80,18 @@ def test_a_pdf_is_true_to_scale_and_detected(spec, is_legacy):
         assert image.shape[::-1] == pytest.approx(np.array([page.width, page.height]) * dpi / INCH, abs=1.01)
         found = binocal.detect(cv2.GaussianBlur(image, (0, 0), 1.0), board)
         assert np.abs((found.points_px + 0.5) * scale - points_mm(board, page)).max() < TRUE_TO_MM
+
+
+def test_tags_with_one_bit_of_border_are_found_as_apriltags_own_detector_looks_for_them():
+    board = parse_board("aprilgrid:4x3:10mm:0.3")
+    sheet = SheetOptions(4.0, False, PrintStyle(april_border_bits=1))
+    (page,) = lay_out_pages(board, PrintRequest((3 * INCH, 2.5 * INCH), sheet=sheet))
+    image = as_photographed(png_content(page, 300.0))
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(image)  # one bit is its default
+    assert sorted(ids.ravel()) == list(range(12))
+    found = binocal.detect(image, board)
+    assert np.abs((found.points_px + 0.5) * INCH / 300 - points_mm(board, page)).max() < TRUE_TO_MM
 
 
 def detect_with_opencv(image: np.ndarray, board: Board, is_legacy: bool) -> np.ndarray:

@@ -77,8 +77,12 @@ def test_a_range_that_no_board_serves_says_how_long_one_may_be():
 
 def test_viewers(tmp_path):
     assert load_viewer("60deg@1280x960").size_wh == (1280, 960) and load_viewer("60@64x48").size_wh == (64, 48)
-    for text in ("0deg@1280x960", "1.2.3deg@1280x960"):
-        with pytest.raises(ValueError):
+    for text, why in (
+        ("0deg@1280x960", "is none"),
+        ("1.2.3deg@1280x960", "not an angle"),
+        ("60deg", "lacks the image's size"),
+    ):
+        with pytest.raises(ValueError, match=why):
             load_viewer(text)
     with pytest.raises(FormatError, match="missing"):
         load_viewer(str(tmp_path / "rig.json"))

@@ -15,6 +15,7 @@ import binocal
 from binocal.app.board import write_screen_board
 from binocal.boards import Board, load_board, parse_board
 from binocal.printing.screen import NOTE_PX, Screen, ScreenBoard, fit_board, screen_page
+from binocal.report.printing import NAMES
 
 KINDS = [
     "chessboard:9x6:20mm",
@@ -23,7 +24,6 @@ KINDS = [
     "circles:10x8:20mm",
     "acircles:4x11:20mm",
 ]
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
 def image_of(page: str) -> np.ndarray:
@@ -85,9 +85,9 @@ def test_kalibrs_target_is_of_the_board_as_shown(tmp_path):
 
 
 def test_a_browser_shows_it_pixel_by_pixel(tmp_path, ratio=2):
-    browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    browser = next((path for name in NAMES if (path := shutil.which(name))), None)
     if browser is None:
-        pytest.skip(f"no browser to show the page in: {', '.join(BROWSERS)}")
+        pytest.skip(f"no browser to show the page in: {', '.join(NAMES)}")
     shown = write_screen_board(
         parse_board("charuco:7x5:30mm:22mm:DICT_4X4_50"),
         tmp_path / "b.html",

@@ -21,6 +21,7 @@ pytest.importorskip("jinja2", reason="Jinja is an extra: pip install binocal[rep
 import headless_browser
 
 from binocal.app import report as reporting
+from binocal.app.corners import FoundCorners
 from binocal.app.report import ReportRequest, make_report, write_report
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
@@ -33,6 +34,7 @@ from binocal.report import printing
 from binocal.report.headline import headline_of
 from binocal.report.svg import figure_svg, themed
 from binocal.requirements import parse_requirement
+from binocal.result import Covariance
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
 RIG, SPEC = table2_rig(), "chessboard:6x5:30mm"
@@ -164,6 +166,40 @@ def test_without_corners_the_page_says_so(folder, tmp_path):
     run = write_report(tmp_path / "rig.json", tmp_path / "report.html")
     assert any("--evidence" in note for note in run.notes)
     assert 'id="coverage"' not in run.page and 'id="figures"' in run.page
+
+
+def test_a_rig_of_which_little_is_known_has_a_page(folder, tmp_path):
+    calibration = read_calibration(folder / "rig.json")
+    bare = replace(
+        calibration, views=(), T_left_board=None, covariance=Covariance((), np.zeros((0, 0))), mean_board_pose=None, board_shape=None,
+        findings=(), provenance={},
+    )  # fmt: skip
+    run = make_report(bare, tmp_path / "rig.json")
+    assert len(run.notes) == 2 and "where the boards were" in run.notes[1]
+    assert (
+        'id="rig"' in run.page
+        and 'id="depth"' not in run.page
+        and "nan" not in run.page.partition("<script")[0].lower()
+    )
+
+
+def test_without_a_file_of_corners_the_board_is_found_again_as_it_was(folder, tmp_path, monkeypatch):
+    calibration = read_calibration(folder / "rig.json")
+    asked = []
+
+    def find(left, right, board, preparation, *rest):
+        asked.append((left, right, board.n_points, preparation.channel, preparation.strengthens))
+        return FoundCorners(seen(0), (), (), (), {})
+
+    monkeypatch.setattr(reporting, "find_corners", find)
+    monkeypatch.setattr(reporting, "report_images", lambda *given: ((), None, ("three images",)))
+    monkeypatch.setattr(reporting, "report_page", lambda contents, headline: headline.sentence)
+    made = replace(calibration, provenance={**calibration.provenance, "channel": "red", "preprocess": True})
+    request = ReportRequest(left="l/*", right="r/*")
+    run = make_report(made, tmp_path / "rig.json", request)
+    assert asked == [("l/*", "r/*", BOARD.n_points, "red", True)] and run.notes == ("three images",)
+    with pytest.raises(DataError, match="does not name the board"):
+        make_report(replace(made, provenance={"board": "a wall"}), tmp_path / "rig.json", request)
 
 
 def test_corners_of_another_rig_are_refused(folder, tmp_path, capsys):

@@ -12,6 +12,7 @@ from binocal.boards.target_file import format_kalibr_target
 from binocal.cameras import Camera, StereoRig
 from binocal.formats.rig_file import load_rig
 from binocal.output import Content, check_output, write_together
+from binocal.printing.board_shapes import PrintStyle
 from binocal.printing.drawing import Page
 from binocal.printing.dxf import dxf_text
 from binocal.printing.paper import PAPERS, has_room_for, smallest_paper, turned_to_fit
@@ -83,8 +84,8 @@ def write_screen_board(
     board: Board,
     path: str | Path,
     screen: Screen,
+    style: PrintStyle | None = None,
     *,
-    is_legacy_charuco: bool = False,
     kalibr: str | Path | None = None,
     force: bool = False,
 ) -> ScreenBoard:
@@ -97,8 +98,8 @@ def write_screen_board(
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"{path.name} does not end in .html, as pages for a screen do")
-    shown = fit_board(board, screen, is_legacy_charuco=is_legacy_charuco)
-    contents: dict[str | Path, Content] = {path: screen_page(shown, screen, is_legacy_charuco=is_legacy_charuco)}
+    shown = fit_board(board, screen, style)
+    contents: dict[str | Path, Content] = {path: screen_page(shown, screen, style)}
     if kalibr is not None:
         contents[kalibr] = format_kalibr_target(parse_board(shown.spec))
     write_together(contents, force=force)
@@ -113,6 +114,8 @@ def load_viewer(text: str) -> StereoRig | Camera:
         FormatError: The file holds no rig.
     """
     found = re.fullmatch(r"\s*([0-9.]+)(?:deg|°)?@([1-9][0-9]{0,5})x([1-9][0-9]{0,5})\s*", text)
+    if found is None and re.fullmatch(r"\s*[0-9.]+\s*(deg|°)?\s*(@.*)?", text):
+        raise ValueError(f"{text!r} lacks the image's size: write the horizontal field of view so: 60deg@1280x960")
     if found is None:
         rig = load_rig(text)
         if not rig.is_metric:

@@ -168,7 +168,13 @@ def _with_corners(
         return calibration, None, (NO_CORNERS,)
     if board is None:
         raise DataError(f"{rig} does not name the board; give it with --board.")
-    detections = find_corners(request.left, request.right, board, None, progress, None).detections
+    from binocal.images import CHANNELS
+    from binocal.images.preprocessing import Preparation
+
+    made = calibration.provenance
+    channel = made.get("channel")
+    preparation = Preparation(channel if channel in CHANNELS else "grey", made.get("preprocess") is True)
+    detections = find_corners(request.left, request.right, board, preparation, progress, None).detections
     return calibration.with_evidence(detections), detections, ()
 
 
@@ -218,7 +224,13 @@ def _commands(calibration: StereoCalibration, rig: Path, request: ReportRequest)
         calibrator = calibration.provenance.get("calibrator", "drl")
         lines.append(
             f"binocal calibrate --left 'LEFT*' --right 'RIGHT*' --board {spec} --calibrator {calibrator} --output {rig.name} "
-            "--evidence corners.npz"
+            f"--evidence corners.npz{_preparation_options(calibration)}"
         )
     needs = "".join(f" --require '{need.text}'" for need in request.requirements)
     return (*lines, f"binocal report {rig.name} --evidence corners.npz{needs}")
+
+
+def _preparation_options(calibration: StereoCalibration) -> str:
+    made = calibration.provenance
+    channel = made.get("channel", "grey")
+    return ("" if channel == "grey" else f" --channel {channel}") + (" --preprocess" if made.get("preprocess") else "")

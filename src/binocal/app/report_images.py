@@ -32,9 +32,8 @@ def report_images(
     pairs = {pair.name: pair for pair in list_pairs(left, right).pairs}
     used = [view for view in calibration.views if view.name in pairs]
     if not used:
-        raise DataError(
-            f"none of the images is of a view of this calibration (such as {calibration.views[0].name}); give those that it was made from."
-        )
+        such = f" (such as {calibration.views[0].name})" if calibration.views else ""
+        raise DataError(f"none of the images is of a view of this calibration{such}; give those that it was made from.")
     worst = sorted(used, key=lambda view: -np.nan_to_num(view.rms_px))[:MOST_USED]
     rejected = [view.name for view in calibration.rejected if view.name in pairs][:MOST_REJECTED]
     wanted = {view.name for view in worst}

@@ -12,7 +12,7 @@ from html import escape
 import numpy as np
 
 from binocal.boards import Board, format_board
-from binocal.printing.board_shapes import board_shapes, board_size_mm
+from binocal.printing.board_shapes import PrintStyle, board_shapes, board_size_mm
 from binocal.printing.drawing import Group, Page
 from binocal.printing.png import encode_png
 from binocal.printing.raster import raster_bands
@@ -20,7 +20,7 @@ from binocal.simulation.layout import cell_print
 
 NOTE_PX = 40  # kept free below the board, for what is written there
 PX_M = 1e-3  # a pixel in the drawing, whose unit is the millimetre
-APRIL_CELLS = 10  # of a tag's side: six of data, two of border on each side
+APRIL_DATA_CELLS = 6  # of a tag's side, besides its border
 MOST_DIAGONAL_M = 5.0
 LEAST_PITCH_PX = {"chessboard": 4, "charuco": 8, "aprilgrid": 10, "circles": 8, "acircles": 6}
 
@@ -62,7 +62,7 @@ class ScreenBoard:
     """The SPEC with each length as its number of pixels in braces."""
 
 
-def fit_board(board: Board, screen: Screen, *, is_legacy_charuco: bool = False) -> ScreenBoard:
+def fit_board(board: Board, screen: Screen, style: PrintStyle | None = None) -> ScreenBoard:
     """The board in whole pixels: of the SPEC's own pitch, to a pixel, where that is known and fits, else as large as fits.
 
     The lengths of markers and gaps become whole pixels too, and with them their ratio to the pitch.
@@ -70,13 +70,14 @@ def fit_board(board: Board, screen: Screen, *, is_legacy_charuco: bool = False) 
     Raises:
         ValueError: The screen has too few pixels for the board.
     """
+    style = style or PrintStyle()
     width, height = screen.resolution_wh
     sizes: Iterable[int] = range(max(width, height) // 2, LEAST_PITCH_PX[board.kind] - 1, -1)
     if board.is_metric and screen.pixel_m is not None:
         wanted = round(board.pitch_m / screen.pixel_m)
         sizes = [wanted, *(size for size in sizes if size < wanted)]
     for pitch_px in sizes:
-        in_pixels = _in_pixels(board, pitch_px, is_legacy_charuco)
+        in_pixels = _in_pixels(board, pitch_px, style)
         if in_pixels is None:
             continue
         print_px = board_size_mm(in_pixels)
@@ -86,24 +87,23 @@ def fit_board(board: Board, screen: Screen, *, is_legacy_charuco: bool = False) 
     raise ValueError(f"{width} x {height} pixels are too few for a board of {board.columns}x{board.rows}")
 
 
-def _in_pixels(board: Board, pitch_px: int, is_legacy: bool) -> Board | None:
+def _in_pixels(board: Board, pitch_px: int, style: PrintStyle) -> Board | None:
     """The board with all edges on whole pixels, its pitch at most so many; None where its cells would be smaller than a pixel."""
     if pitch_px < LEAST_PITCH_PX[board.kind]:
         return None
     if board.kind == "charuco":
         one = replace(board, columns=3, rows=3, pitch_m=1.0, is_metric=False, marker_m=board.marker_m / board.pitch_m)
-        n_cells = len(cell_print(one, is_legacy_charuco=is_legacy).x_edges) // 3 - 2  # of a marker's side
+        n_cells = len(cell_print(one).x_edges) // 3 - 2  # of a marker's side
         cell = round(pitch_px * board.marker_m / board.pitch_m / n_cells)
         pitch_px -= (pitch_px - n_cells * cell) % 2  # the same margin on both sides
         if cell < 1 or n_cells * cell >= pitch_px:
             return None
         return replace(board, pitch_m=PX_M * pitch_px, is_metric=True, marker_m=PX_M * n_cells * cell)
     if board.kind == "aprilgrid":
-        cell = pitch_px // APRIL_CELLS
-        gap = max(1, round(board.tag_gap_ratio * APRIL_CELLS * cell))
-        return replace(
-            board, pitch_m=PX_M * APRIL_CELLS * cell, is_metric=True, tag_gap_ratio=gap / (APRIL_CELLS * cell)
-        )
+        n_cells = APRIL_DATA_CELLS + 2 * style.april_border_bits
+        side = pitch_px // n_cells * n_cells
+        gap = max(1, round(board.tag_gap_ratio * side))
+        return replace(board, pitch_m=PX_M * side, is_metric=True, tag_gap_ratio=gap / side)
     return replace(board, pitch_m=PX_M * pitch_px, is_metric=True)
 
 
@@ -120,9 +120,9 @@ def _named(board: Board, screen: Screen, size_px: tuple[int, int]) -> ScreenBoar
     return ScreenBoard(board, pitch_px, size_px, format_board(named), ":".join(fields))
 
 
-def screen_page(shown: ScreenBoard, screen: Screen, *, is_legacy_charuco: bool = False) -> str:
+def screen_page(shown: ScreenBoard, screen: Screen, style: PrintStyle | None = None) -> str:
     """A page of HTML that holds everything: the board, which it shows pixel by pixel, its SPEC, and what to press."""
-    shapes = board_shapes(shown.board, is_legacy_charuco=is_legacy_charuco)
+    shapes = board_shapes(shown.board, style)
     width, height = shown.size_px
     page = Page(float(width), float(height), (Group("board", shapes),))
     png = encode_png(raster_bands(page, 1.0), shown.size_px, _dpi(screen))

@@ -5,14 +5,14 @@ Left of the board and below it run two lines, A-B and A-C, whose ends are the bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from binocal.boards import Board, format_board
 from binocal.boards.board import format_length
 from binocal.boards.measured import measured_box_m
-from binocal.printing.board_shapes import board_shapes, board_size_mm, quiet_mm
+from binocal.printing.board_shapes import PrintStyle, board_shapes, board_size_mm, quiet_mm
 from binocal.printing.drawing import ADVANCE, Area, Group, Page, Shape, Text, rectangles, trace_cells
 from binocal.simulation.layout import printed_extent_m
 
@@ -33,7 +33,7 @@ class SheetOptions:
 
     margin_mm: float = MARGIN_MM
     has_notes: bool = True
-    is_legacy_charuco: bool = False
+    style: PrintStyle = field(default_factory=PrintStyle)
 
 
 def sheet_size_mm(board: Board, options: SheetOptions) -> tuple[float, float]:
@@ -56,7 +56,7 @@ def lay_out_sheet(board: Board, page_mm: tuple[float, float], options: SheetOpti
         raise ValueError(f"the board needs a page of {need[0]:.0f} x {need[1]:.0f} mm")
     left, top, _, _ = _borders(board, options)
     x, y = left + (page_mm[0] - need[0]) / 2, top + (page_mm[1] - need[1]) / 2
-    shapes = board_shapes(board, is_legacy_charuco=options.is_legacy_charuco)
+    shapes = board_shapes(board, options.style)
     groups = [Group("board", shapes, (x, y))]
     if options.has_notes:
         groups.append(Group("notes", (*_measuring_lines(board, x, y), *_footer(board, page_mm, options))))
@@ -117,7 +117,7 @@ def _footer(board: Board, page_mm: tuple[float, float], options: SheetOptions) -
     x, y = margin + QR_MM + 2, page_mm[1] - margin - FOOTER_MM + 0.3
     room = page_mm[0] - margin - x
     lines = [
-        spec + (" (legacy layout)" if options.is_legacy_charuco else ""),
+        spec + (" (legacy layout)" if options.style.is_legacy_charuco else ""),
         "Printed at 100 %, the bars are as long as they say. Measure A-B and A-C:",
         f"A-B {across}: ________ mm    A-C {along}: ________ mm",
         "binocal calibrate ... --measured A-B,A-C such as " + f"{across},{along}",

@@ -81,7 +81,7 @@ def _levels(low: float, high: float) -> Float[ndarray, "k"]:
     """Levels of a map in even steps, or in even ratios where the largest is far above the least."""
     if high - low <= 1e-9 * max(abs(low), abs(high), 1e-12):
         low, high = low - max(abs(low), 1e-12) * 0.05, high + max(abs(high), 1e-12) * 0.05
-    levels = np.geomspace(low, high, N_LEVELS) if low > 0 and high / low > 20 else np.linspace(low, high, N_LEVELS)
+    levels = np.geomspace(low, high, N_LEVELS) if low > 0 and high / low > 6 else np.linspace(low, high, N_LEVELS)
     margin = 1e-6 * (high - low)
     levels[0], levels[-1] = levels[0] - min(margin, 0.5 * abs(low) or margin), levels[-1] + margin
     return levels

@@ -65,7 +65,7 @@ def residual_section(contents: ReportContents) -> Section | None:
         usual = (
             float(np.sqrt(np.nanmean(smoothed.sigma_px**2))) if np.isfinite(smoothed.sigma_px).any() else float("nan")
         )
-        pictures.append(
+        smooth.append(
             Picture(
                 figure, f"What neighbouring corners have in common; {usual:.2g} px would be left of independent ones."
             )

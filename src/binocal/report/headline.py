@@ -15,12 +15,13 @@ from binocal.uncertainty.maps import RangeMap
 
 GRAVE = frozenset(
     (
-        "board-scale-uncertain", "cameras-exchanged", "focal-length-uncertain", "halves-disagree", "image-size-doubtful",
+        "board-scale-uncertain", "focal-length-uncertain", "halves-disagree", "image-size-doubtful",
         "image-size-suspect", "many-views-left-out", "prior-doubtful", "rests-on-few-views", "rig-changed", "rig-drifts",
         "rig-has-two-states", "scale-doubtful", "start-simplified",
     )
 )  # fmt: skip
 """Warnings after which a rig should not be used before they are seen to; with the others it is usable with care."""
+FIRST_OF_CARE = ("cameras-exchanged", "exposures-apart")  # what a user can mend at once
 MOST_POINTS = 4
 
 
@@ -40,9 +41,7 @@ def headline_of(
     at_boards: RangeMap | None = None,
 ) -> Headline:
     """The verdict: needs first, where some were stated, then the warnings, the gravest first, then what depth is good to."""
-    warnings = sorted(
-        (found for found in findings if found.severity is Severity.WARNING), key=lambda found: found.code not in GRAVE
-    )
+    warnings = by_weight(findings)
     is_grave = bool(warnings) and warnings[0].code in GRAVE
     depth = depth_sentence(calibration, at_boards)
     titles = list(dict.fromkeys(_title(found) for found in warnings))
@@ -58,9 +57,9 @@ def headline_of(
     elif warnings:
         level = "care"
         met = f"all {n} needs are met" if n > 1 else "the need is met" if n else ""
-        many = f"{len(titles)} warnings" if len(titles) > 1 else _lower(titles[0])
-        titles = titles if len(titles) > 1 else []
-        sentence = f"Use with care: {met + ', but ' if met else ''}{many}."
+        more = f" (and {len(titles) - 1} more warning{'s' if len(titles) > 2 else ''})" if len(titles) > 1 else ""
+        sentence = f"Use with care: {met + ', but ' if met else ''}{_lower(titles[0])}{more}."
+        titles = titles[1:]
     else:
         level = "good"
         met = (
@@ -74,6 +73,17 @@ def headline_of(
     needs = [v.sentence for v in sorted(verdicts, key=_order)]
     points = [_closed(point) for point in [*needs, *titles][:MOST_POINTS]]
     return Headline(level, sentence, (*points, depth) if depth else tuple(points))
+
+
+def by_weight(findings: Sequence[Finding]) -> list[Finding]:
+    """The warnings, those first after which the rig should not be used."""
+
+    def rank(found: Finding) -> int:
+        if found.code in GRAVE:
+            return 0
+        return 1 + FIRST_OF_CARE.index(found.code) if found.code in FIRST_OF_CARE else 1 + len(FIRST_OF_CARE)
+
+    return sorted((found for found in findings if found.severity is Severity.WARNING), key=rank)
 
 
 def depth_sentence(calibration: StereoCalibration, at_boards: RangeMap | None) -> str:

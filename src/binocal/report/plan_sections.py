@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from binocal.cameras import StereoRig
-from binocal.findings import Severity
 from binocal.planning import ViewPlan
 from binocal.report import rig_figures
 from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
-from binocal.report.headline import GRAVE
+from binocal.report.headline import by_weight
 from binocal.report.section import Picture, Section, Table
 from binocal.report.svg import WIDTH_INCHES, figure_svg
 from binocal.requirements import Outcome
@@ -16,8 +15,7 @@ from binocal.requirements import Outcome
 
 def next_section(contents: ReportContents) -> Section:
     """What to do, in order: what warnings ask for, then views that needs ask for, then what tests the rig."""
-    warnings = [found for found in contents.findings if found.severity is Severity.WARNING and found.remedy]
-    warnings.sort(key=lambda found: found.code not in GRAVE)
+    warnings = [found for found in by_weight(contents.findings) if found.remedy]
     steps = [_sentence(found.remedy) for found in warnings]
     is_open = any(verdict.outcome is not Outcome.PASS for verdict in contents.verdicts)
     for plan in contents.plans:

@@ -11,7 +11,7 @@ import numpy as np
 from binocal.findings import KINDS, Finding, Severity
 from binocal.report.contents import ReportContents
 from binocal.report.corner_sections import coverage_section, residual_section
-from binocal.report.headline import GRAVE
+from binocal.report.headline import GRAVE, by_weight
 from binocal.report.image_sections import rectified_section, view_section
 from binocal.report.plan_sections import next_section, plan_section
 from binocal.report.rig_sections import board_section, rig_section
@@ -92,7 +92,8 @@ def key_section(contents: ReportContents) -> Section:
 def finding_section(contents: ReportContents) -> Section | None:
     """Warnings and notes with what to do, and the needs' verdicts."""
     notices = [_verdict_notice(verdict) for verdict in contents.verdicts]
-    for found in contents.findings:
+    warnings = by_weight(contents.findings)
+    for found in (*warnings, *(one for one in contents.findings if one not in warnings)):
         level, word = _WORDS[found.severity]
         kind = KINDS.get(found.code)
         title = kind.title if kind is not None else "Warning"

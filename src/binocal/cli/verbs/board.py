@@ -78,6 +78,16 @@ def board(
     legacy: Annotated[
         bool, typer.Option("--legacy", help="ChArUco as OpenCV before 4.6 printed it; differs where the rows are even.")
     ] = False,
+    tag_border: Annotated[
+        int,
+        typer.Option(
+            "--tag-border",
+            help="AprilGrid: bits of black around a tag, 2 as Kalibr's or 1 as AprilTag's own.",
+            metavar="BITS",
+            min=1,
+            max=2,
+        ),
+    ] = 2,
     notes: Annotated[
         bool,
         typer.Option(
@@ -115,6 +125,7 @@ def board(
 ) -> int:
     """Write a board to print, cut, etch or show on a screen: true to scale, with scale bars, its SPEC, and two distances to measure."""
     from binocal.app.board import PrintRequest, print_board, write_screen_board
+    from binocal.printing.board_shapes import PrintStyle
     from binocal.printing.paper import parse_paper
     from binocal.printing.sheet import SheetOptions
 
@@ -128,6 +139,8 @@ def board(
     parsed = parse_board(str(spec)) if recommended is None else recommended.board
     if legacy and parsed.kind != "charuco":
         raise typer.BadParameter("--legacy is a layout of ChArUco boards alone.")
+    if tag_border != 2 and (parsed.kind != "aprilgrid" or kalibr is not None):
+        raise typer.BadParameter("--tag-border 1 is of AprilGrids alone, and not as Kalibr looks for them.")
     if kalibr is not None and kalibr.suffix.lower() not in (".yaml", ".yml"):
         raise typer.BadParameter(f"--kalibr {kalibr} does not end in .yaml, as board files do.")
     if kalibr is not None and file is None:
@@ -140,17 +153,11 @@ def board(
     try:
         page_text = page if page is not None or recommended is None else recommended.page
         page_mm = None if page_text is None else parse_paper(page_text)
-        request = PrintRequest(
-            page_mm, landscape, tiles, dpi, SheetOptions(_margin_mm(margin), notes, is_legacy_charuco=legacy)
-        )
+        style = PrintStyle(legacy, tag_border)
+        request = PrintRequest(page_mm, landscape, tiles, dpi, SheetOptions(_margin_mm(margin), notes, style))
         if screen and file is not None:
             shown = write_screen_board(
-                parsed,
-                file,
-                _parse_screen(resolution, diagonal),
-                is_legacy_charuco=legacy,
-                kalibr=kalibr,
-                force=force,
+                parsed, file, _parse_screen(resolution, diagonal), style, kalibr=kalibr, force=force
             )
             document |= _screen_document(file, shown)
             lines += _screen_lines(file, shown)
