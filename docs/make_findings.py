@@ -274,7 +274,8 @@ EXPLANATIONS = {
         covered, of a bare wall, or far out of focus.""",
     "image-blurred": """
         Around the points that both images show the spread of edges is measured, noise taken out: 0.9 to 1.2 px in sharp images,
-        within 2 % the same in both images of a pair, whatever the gain and noise of either camera. A blur of 1.5 px in one of them makes it a third larger, and matches of a sharp with a blurred
+        within 2 % the same in both images of a pair, whatever the gain and noise of either camera. A blur of 1.5 px in one of
+        them makes it a third larger, and matches of a sharp with a blurred
         image are off by up to half a pixel, all in like directions: rotations come out wrong by tenths of a degree and more
         than is stated. Pairs are refused (of several: left out) from a ratio of 1.25, or 2.5 px in both.""",
     "images-already-rectified": """
