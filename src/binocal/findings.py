@@ -141,6 +141,14 @@ _KINDS = (
         "check the images, their sides and the rig's file; --start none takes no pose for granted", InconsistentViewsError,
     ),
     FindingKind(
+        "cameras-are-others", _R, "The images are not of the cameras given",
+        "the cameras' own parameters do not fit the images: by the best pose matches are {held_px:.2f} px off (RMS), and {share_percent:.0f} % "
+        "of their squares are a pattern that other cameras would not leave ({freed_px:.2f} px): the rig's file is of other cameras, or the "
+        "images were cropped, resized or rectified; {remedy}.",
+        "give the file of the cameras that took these images, and images as they take them; or calibrate them anew with a board",
+        InconsistentViewsError,
+    ),
+    FindingKind(
         "pairs-contradict", _R, "Pairs of images show different rigs",
         "{n_odd} of {n_pairs} pairs do not fit together: {what}; {remedy}.",
         "give pairs of one moment each, taken by one rig, left images as left", InconsistentViewsError,

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
-from binocal.cameras import Camera
+from binocal.calibrators.natural_cameras import assumed_sigma, slopes_of
+from binocal.cameras import Camera, StereoRig
 from binocal.errors import InconsistentViewsError
 from binocal.evidence.point_matches import PointMatches
 from binocal.geometry import SE3, so3
 from binocal.matching.relative_pose import estimate_relative_pose
+from binocal.simulation import simulate_matches
+from binocal.solvers.epipolar import EpipolarProblem
+from binocal.solvers.epipolar_diagnosis import camera_misfit
+from binocal.solvers.relative_pose import RelativePose
 from streets import SIZE, T_RIGHT_LEFT, cameras, street
 
 
@@ -123,5 +128,32 @@ def test_wrong_focal_length_is_asked_for():
     assert ask.figures["parameter"] in ("left.f", "right.f") and ask.figures["saved_percent"] > 40
     assert "focal length of the" in ask.text and "%" in ask.text
     assert not solve(one).findings
-    with pytest.raises(InconsistentViewsError, match="cameras are not those of the images"):
-        solve(one, (left, with_focal_length(right, 1.05)))
+
+
+def test_other_cameras_are_named_not_called_drift():
+    """Focal lengths of both cameras or of one, and a lens; 0.3 to 1.2 px are left beside 0.1 px of noise."""
+    one = street(np.random.default_rng(7), cameras(), 600, 0.1)
+    left, right = cameras()
+    without_lens = tuple(Camera(c.model, c.size_wh, np.r_[c.parameters[:5], np.zeros(4)]) for c in cameras())
+    for others in (
+        (left, with_focal_length(right, 1.05)),
+        (with_focal_length(left, 0.7), with_focal_length(right, 0.7)),
+        without_lens,
+    ):
+        for old in (T_RIGHT_LEFT, None):
+            with pytest.raises(InconsistentViewsError, match="cameras' own parameters do not fit the images"):
+                solve(one, others, old)
+
+
+def test_pairs_that_differ_are_no_sign_of_other_cameras():
+    """Of two pairs the right camera of one is turned by a tenth of a degree, which leaves half a pixel."""
+    one, two = pairs(np.random.default_rng(8), 2)
+    turned = SE3(so3.exp(np.radians([0.1, 0.0, 0.0])) @ T_RIGHT_LEFT.R, T_RIGHT_LEFT.t)
+    two = simulate_matches(StereoRig(*cameras(), turned), 200, np.random.default_rng(9), noise_px=0.1).matches
+    matches = PointMatches.joined([one, two])
+    problem, _ = EpipolarProblem.of_matches(cameras(), matches)
+    pose = RelativePose.of(T_RIGHT_LEFT)
+    sigma = assumed_sigma(cameras())
+    slopes = slopes_of(problem, matches, pose, cameras(), sigma)
+    equations = problem.linearize(pose, np.asarray(1.0), "squared")
+    assert camera_misfit(equations, matches.pair, slopes, sigma) is None

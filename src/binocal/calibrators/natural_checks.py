@@ -7,12 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy import ndarray
 
-from binocal.cameras import Camera
-from binocal.cameras.models import camera_model
+from binocal.calibrators.natural_cameras import asked
 from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3, so3
-from binocal.shapes import Bool, Float
+from binocal.shapes import Bool
 from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, parallax_and_sides
 from binocal.solvers.epipolar_diagnosis import Ask
 from binocal.solvers.relative_pose import RelativePose
@@ -110,16 +109,27 @@ def named(texts: list[str]) -> str:
     return ", ".join(texts[:NAMED]) + more
 
 
+def is_mixed_up(estimate: RelativePose, given: SE3 | None) -> bool:
+    """Whether one camera's images are upside down against the other's, or the sides are exchanged, by the rig given."""
+    if given is None:
+        return False
+    turn_deg, direction_deg = _away_deg(estimate, RelativePose.of(given))
+    return turn_deg > UPSIDE_DOWN_DEG or direction_deg > REVERSED_DEG
+
+
+def _away_deg(estimate: RelativePose, old: RelativePose) -> tuple[float, float]:
+    """Turn, and angle between the directions of the translation."""
+    turn_deg = float(np.degrees(so3.angle_rad(estimate.R @ old.R.T)))
+    return turn_deg, float(np.degrees(np.arccos(np.clip(estimate.t @ old.t, -1, 1))))
+
+
 def refuse_other_rig(
     estimate: RelativePose, given: SE3 | None, direction_sigma_deg: float, ask: Ask | None, noise_px: float
 ) -> None:
     """Raises InconsistentViewsError: the rig that was given cannot have become the one that the images show, or has other cameras."""
     if given is None:
         return
-    old = RelativePose.of(given)
-    rotation = estimate.R @ old.R.T
-    turn_deg = float(np.degrees(so3.angle_rad(rotation)))
-    direction_deg = float(np.degrees(np.arccos(np.clip(estimate.t @ old.t, -1, 1))))
+    turn_deg, direction_deg = _away_deg(estimate, RelativePose.of(given))
     most_deg = MOST_DIRECTION_DEG + MOST_SIGMAS * direction_sigma_deg + min(turn_deg, MOST_TURN_DEG)
     has_other_cameras = ask is not None and noise_px > MOST_NOISE_PX
     if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg and not has_other_cameras:
@@ -135,29 +145,3 @@ def refuse_other_rig(
             "the two images of a pair are not of one moment, the rig's file is of another rig, or its mount has broken"
         )
     raise refusal(finding("rig-is-another", turn_deg=turn_deg, direction_deg=direction_deg, cause=cause))
-
-
-def parameters_asked_for(
-    cameras: tuple[Camera, Camera], slopes: Float[ndarray, "n p"]
-) -> dict[str, Float[ndarray, "n"]]:
-    """Derivatives of the residuals by what may be asked of each camera: focal length (its share), principal point, k1."""
-    found: dict[str, Float[ndarray, "n"]] = {}
-    first = 0
-    for side, camera in zip(("left", "right"), cameras, strict=True):
-        names = camera_model(camera.model).parameter_names
-        own = slopes[:, first : first + len(names)]
-        found[f"{side}.f"] = own[:, :2] @ camera.parameters[:2]
-        for name in ("cx", "cy", "k1"):
-            found[f"{side}.{name}"] = own[:, names.index(name)]
-        first += len(names)
-    return found
-
-
-def asked(ask: Ask) -> str:
-    """What is asked for, in words."""
-    side, name = ask.name.split(".")
-    if name == "f":
-        return f"a focal length of the {side} camera that is {100 * ask.change:+.2f} ± {100 * ask.sigma:.2f} % another"
-    if name == "k1":
-        return f"a k1 of the {side} camera that is {ask.change:+.4f} ± {ask.sigma:.4f} another"
-    return f"a principal point of the {side} camera that lies {ask.change:+.1f} ± {ask.sigma:.1f} px away in {name[1]}"
