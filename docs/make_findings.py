@@ -284,6 +284,11 @@ EXPLANATIONS = {
         images ask for more than 15 deg, or for a translation that turned by 6 deg more than the rig did, the cause is named
         that the figures point to: upside down images, exchanged sides, other cameras (the parameter is named that would save
         most of the residuals), or images that are not of one moment.""",
+    "pose-unlike-file": """
+        With `--start none` the pose is found without the rig file's. It is compared all the same: exchanged sides, upside down
+        images and a translation that lies 15 deg more along the view than the file's are refused, since no other mounting of
+        the cameras explains them. A pose that is as far from the file's as would be refused without `--start none` may be
+        right, and is said to be far.""",
     "cameras-are-others": """
         Focal lengths, principal points and distortions of both cameras are held; freed together, beside a pose for each pair, they
         would take away what a wrong calibration leaves. Where that is more than 60 % of the squared residuals and more than

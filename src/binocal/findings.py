@@ -141,6 +141,12 @@ _KINDS = (
         "check the images, their sides and the rig's file; --start none takes no pose for granted", InconsistentViewsError,
     ),
     FindingKind(
+        "pose-unlike-file", _W, "The pose found is far from that of the rig's file",
+        "the right camera is turned by {turn_deg:.1f} deg against the rig's file and the translation points {direction_deg:.0f} deg away from "
+        "it: cameras mounted anew have that, and so do images of a pair that are not of one moment; {remedy}.",
+        "check that both cameras exposed together",
+    ),
+    FindingKind(
         "cameras-are-others", _R, "The images are not of the cameras given",
         "the cameras' own parameters do not fit the images: by the best pose matches are {held_px:.2f} px off (RMS), and {share_percent:.0f} % "
         "of their squares are a pattern that other cameras would not leave ({freed_px:.2f} px): the rig's file is of other cameras, or the "

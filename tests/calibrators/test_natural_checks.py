@@ -21,10 +21,10 @@ from binocal.solvers.relative_pose import RelativePose
 from streets import SIZE, T_RIGHT_LEFT, cameras, street
 
 
-def solve(matches, pair=None, old=T_RIGHT_LEFT):
+def solve(matches, pair=None, old=T_RIGHT_LEFT, filed=None):
     known = pair or cameras()
     guess = lambda found: estimate_relative_pose(known, found.left_px, found.right_px)  # noqa: E731
-    return calibrate_from_matches(matches, NaturalRequest(known, old, 0.54, guess=guess))
+    return calibrate_from_matches(matches, NaturalRequest(known, old, 0.54, guess=guess, filed=filed))
 
 
 def pairs(rng, n):
@@ -47,8 +47,9 @@ def with_focal_length(camera, factor):
 
 def test_exchanged_sides_are_named():
     one = street(np.random.default_rng(0), cameras(), 300, 0.1)
-    with pytest.raises(InconsistentViewsError, match="left and right are exchanged"):
-        solve(exchanged(one), cameras()[::-1])
+    for start in ({"old": T_RIGHT_LEFT}, {"old": None, "filed": T_RIGHT_LEFT}):
+        with pytest.raises(InconsistentViewsError, match="left and right are exchanged"):
+            solve(exchanged(one), cameras()[::-1], **start)
 
 
 def test_one_camera_upside_down_is_named():
@@ -68,8 +69,9 @@ def test_a_pair_of_two_moments_is_named():
     px = cameras()[1].project(SE3(T_RIGHT_LEFT.R, T_RIGHT_LEFT.t - [0.0, 0.0, 2.0]).apply(points))
     inside = ((px > 0) & (px < np.array(SIZE) - 1)).all(axis=1)
     one = replace(one, right_px=np.where(inside[:, None], px, one.right_px)).select(inside)
-    with pytest.raises(InconsistentViewsError, match="not of one moment"):
-        solve(one)
+    for start in ({"old": T_RIGHT_LEFT}, {"old": None, "filed": T_RIGHT_LEFT}):
+        with pytest.raises(InconsistentViewsError, match="not of one moment"):
+            solve(one, **start)
     rest = pairs(rng, 3)
     found = solve(PointMatches.joined([rest[0], replace(one, names=("late",)).select(np.arange(200)), *rest[1:]]))
     assert [f.code for f in found.findings] == ["pairs-left-out"] and "late (" in found.findings[0].text
@@ -103,8 +105,20 @@ def test_rectified_images_of_a_raw_rig_are_named():
     one = street(np.random.default_rng(4), cameras(), 300, 0.05)
     same_row = np.column_stack([one.right_px[:, 0], one.left_px[:, 1]])
     same_row[:, 1] += np.random.default_rng(5).normal(0, 0.05, 300)
-    with pytest.raises(InconsistentViewsError, match="lie on equal rows"):
-        solve(replace(one, right_px=same_row))
+    for start in ({"old": T_RIGHT_LEFT}, {"old": None, "filed": T_RIGHT_LEFT}):
+        with pytest.raises(InconsistentViewsError, match="lie on equal rows"):
+            solve(replace(one, right_px=same_row), **start)
+
+
+def test_cameras_mounted_anew_are_found_without_their_files_pose():
+    """One above the other by the file, side by side and 20 degrees turned in truth: told, with a word about it."""
+    one = street(np.random.default_rng(4), cameras(), 300, 0.05)
+    filed = SE3(so3.exp(np.radians([0.0, 20.0, 0.0])), np.array([0.0, -0.5, 0.0]))
+    found = solve(one, old=None, filed=filed)
+    assert np.degrees(so3.angle_rad(found.rig.T_right_left.R @ T_RIGHT_LEFT.R.T)) < 0.1
+    (said,) = found.findings
+    assert said.code == "pose-unlike-file" and 80 < said.figures["direction_deg"] < 100
+    assert not solve(one, old=None, filed=T_RIGHT_LEFT).findings
 
 
 def test_a_turned_rig_of_rectified_images_is_no_raw_rig():

@@ -143,6 +143,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         source.intrinsics,
         lambda found: estimate_relative_pose(cameras, found.left_px, found.right_px),
         options.seed,
+        filed=source.rig.T_right_left,
         calibrator=options.calibrator,
     )
     calibration = calibrate_from_matches(matches, request)

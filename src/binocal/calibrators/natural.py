@@ -30,6 +30,7 @@ from binocal.calibrators.natural_checks import (
     refuse_rectified,
     refuse_whole_rows,
     refuse_wrong,
+    unlike_file,
 )
 from binocal.calibrators.natural_start import BestStart, Guess, best_start
 from binocal.calibrators.natural_untold import limited_to_kept, untold_finding, untold_part, with_untold_kept
@@ -82,8 +83,15 @@ class NaturalRequest:
     """A first guess from matches alone (:mod:`binocal.matching.relative_pose`)."""
     seed: int = 0
     progress: ProgressCallback | None = None
+    filed: SE3 | None = None
+    """The pose that a rig's file has where it is no start (``old`` is None): what no other mounting explains is named."""
     calibrator: str = "drl"
     """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_solves.solves_of`."""
+
+    @property
+    def given(self) -> SE3 | None:
+        """The pose of the rig that was given, be it the start or not."""
+        return self.filed if self.old is None else self.old
 
 
 def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> StereoCalibration:
@@ -139,7 +147,7 @@ def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
         minimum = finish(problem, estimate)
         noise_px, estimate = max(float(minimum.scale_px), NOISE_FLOOR_PX), minimum.estimate
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
-    refuse_rectified(problem, matches, request.old, noise_px)
+    refuse_rectified(problem, matches, request.given, noise_px)
     solved = _Solved(problem, matches, estimate, equations, noise_px, best)
     refuse_wrong(matches, solved.is_right, noise_px)
     return solved
@@ -156,7 +164,7 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     untold = untold_part(covariance)
     if untold is not None and request.old is None:
         raise refusal(untold_finding(covariance, is_kept=False))
-    if not is_mixed_up(estimate, request.old):
+    if not is_mixed_up(estimate, request.given):
         refuse_other_cameras(camera_misfit(solved.equations, matches.pair, slopes, assumed_sigma(request.cameras)))
     if untold is not None and request.old is not None:
         kept.append(untold_finding(covariance, is_kept=True))
@@ -175,6 +183,8 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, told_of), rng)
     direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))
     refuse_other_rig(estimate, request.old, direction_sigma_deg, ask, noise_px)
+    if request.old is None and request.filed is not None:
+        findings += unlike_file(estimate, request.filed, direction_sigma_deg)
     if ask is not None:
         findings.append(
             finding("matches-ask-for-other-cameras", what=asked(ask), saved_percent=100 * ask.fall, parameter=ask.name)

@@ -25,6 +25,9 @@ CLEAR_PX, CLEAR_NOISE, MIN_CLEAR = 3.0, 10.0, 20
 """Parallax, in pixels and of the noise, and of how many points, for the side on which they lie to be told."""
 MOST_TURN_DEG, MOST_DIRECTION_DEG, MOST_SIGMAS = 15.0, 6.0, 3.0
 """From the rig that was given; beyond them it was not bent by heat or a knock, and the direction moves by no more than the turn else."""
+MOST_FORWARD_DEG = 15.0
+"""From the rig's file where its pose is no start: by how much more or less the translation may lie along the view. Cameras are mounted
+anew side by side or one above the other as before; one that moved on between the exposures seems to stand behind the other."""
 MOST_NOISE_PX = 1.0  # no matcher leaves more; what another parameter of the cameras would take away of it is theirs
 UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
 RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
@@ -111,10 +114,16 @@ def named(texts: list[str]) -> str:
 
 def is_mixed_up(estimate: RelativePose, given: SE3 | None) -> bool:
     """Whether one camera's images are upside down against the other's, or the sides are exchanged, by the rig given."""
-    if given is None:
-        return False
-    turn_deg, direction_deg = _away_deg(estimate, RelativePose.of(given))
-    return turn_deg > UPSIDE_DOWN_DEG or direction_deg > REVERSED_DEG
+    return given is not None and bool(_mixed_up(*_away_deg(estimate, RelativePose.of(given))))
+
+
+def _mixed_up(turn_deg: float, direction_deg: float) -> str:
+    """How the images are, in words; nothing where they are as they should be."""
+    if turn_deg > UPSIDE_DOWN_DEG:
+        return "one camera's images are upside down against the other's, as the rig's file does not have them"
+    if direction_deg > REVERSED_DEG:
+        return "left and right are exchanged, or both images are mirrored or upside down"
+    return ""
 
 
 def _away_deg(estimate: RelativePose, old: RelativePose) -> tuple[float, float]:
@@ -134,10 +143,9 @@ def refuse_other_rig(
     has_other_cameras = ask is not None and noise_px > MOST_NOISE_PX
     if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg and not has_other_cameras:
         return
-    if turn_deg > UPSIDE_DOWN_DEG:
-        cause = "one camera's images are upside down against the other's, as the rig's file does not have them"
-    elif direction_deg > REVERSED_DEG:
-        cause = "left and right are exchanged, or both images are mirrored or upside down"
+    mixed_up = _mixed_up(turn_deg, direction_deg)
+    if mixed_up:
+        cause = mixed_up
     elif ask is not None:
         cause = f"the rig's cameras are not those of the images, which ask for {asked(ask)}"
     else:
@@ -145,3 +153,30 @@ def refuse_other_rig(
             "the two images of a pair are not of one moment, the rig's file is of another rig, or its mount has broken"
         )
     raise refusal(finding("rig-is-another", turn_deg=turn_deg, direction_deg=direction_deg, cause=cause))
+
+
+def unlike_file(estimate: RelativePose, filed: SE3, direction_sigma_deg: float) -> list[Finding]:
+    """What is said of a pose that was found without the rig file's and is far from it.
+
+    Raises:
+        InconsistentViewsError: No other mounting explains it.
+    """
+    old = RelativePose.of(filed)
+    turn_deg, direction_deg = _away_deg(estimate, old)
+    cause = _mixed_up(turn_deg, direction_deg)
+    forward_deg = abs(_forward_deg(estimate) - _forward_deg(old))
+    if not cause and forward_deg > MOST_FORWARD_DEG + MOST_SIGMAS * direction_sigma_deg:
+        cause = f"one camera seems to stand {forward_deg:.0f} deg farther along the view: the two images of a pair are not of one moment"
+    figures = {"turn_deg": turn_deg, "direction_deg": direction_deg}
+    if cause:
+        remedy = "check the images and their sides, and give a rig's file whose translation points roughly as it does"
+        raise refusal(finding("rig-is-another", cause=cause, remedy=remedy, **figures))
+    most_deg = MOST_DIRECTION_DEG + MOST_SIGMAS * direction_sigma_deg + min(turn_deg, MOST_TURN_DEG)
+    is_far = turn_deg > MOST_TURN_DEG or direction_deg > most_deg
+    return [finding("pose-unlike-file", turn_deg=turn_deg, direction_deg=direction_deg)] if is_far else []
+
+
+def _forward_deg(pose: RelativePose) -> float:
+    """How far the translation points along the cameras' common view, out of the plane across it."""
+    view = pose.R[:, 2] + np.array([0.0, 0.0, 1.0])
+    return float(np.degrees(np.arcsin(np.clip(pose.t @ view / max(float(np.linalg.norm(view)), 1e-9), -1, 1))))
