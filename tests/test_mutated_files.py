@@ -32,7 +32,7 @@ from mutation import mutations
 from rigs import make_calibration, make_detections, make_poses, make_rig
 
 N_FAST, N_SLOW = 6, 200
-MOST_S, MOST_BYTES = 2.0, 500 << 20
+MOST_S, MOST_BYTES = 2.0, 500 << 20  # of work: a busy machine makes no command wrong
 BOARD = "chessboard:9x6:30mm"
 NO_IMAGES = ["calibrate", "--left", "none/l*.png", "--right", "none/r*.png", "--board", BOARD, "--output", "out.json"]
 
@@ -167,10 +167,10 @@ def check_one(kind: Kind, content: bytes, folder: Path, name: str) -> None:
     path.write_bytes(content)
     arguments = [kind.name if argument == "FILE" else argument for argument in kind.command]
     out, err = io.StringIO(), io.StringIO()
-    began = time.monotonic()
+    began = time.process_time()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), limited():
         code = main([*arguments, "--json"])
-    elapsed_s = time.monotonic() - began
+    elapsed_s = time.process_time() - began
     said = [line for line in err.getvalue().splitlines() if line.startswith("binocal: ")]
     where = f"{name}, kept as {path}: exit code {code}, {elapsed_s:.1f} s, {err.getvalue()[:500]}"
     assert code in kind.codes, where
@@ -192,7 +192,7 @@ def check_many(kind: Kind, n: int, seed: int, folder: Path) -> None:
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    cv2.imwrite("right.png", np.random.default_rng(2).integers(0, 255, (96, 128), dtype=np.uint8))
+    cv2.imwrite("right.png", np.full((96, 128), 200, np.uint8))
     rig_json.write_calibration("rig.json", make_calibration())
     _truth(Path("truth.json"))
     return tmp_path

@@ -8,6 +8,7 @@ from binocal.boards import parse_board
 from binocal.datasets import ImagePair, list_pairs
 from binocal.detection import detect_pairs
 from binocal.errors import CancelledError, DataError, DetectionError
+from binocal.images.preprocessing import Preparation
 
 BOARD = parse_board("chessboard:7x6:30mm")
 TURNS = [(0.25, -0.3, 0.1), (-0.3, 0.2, 0.2), (0.3, 0.3, -0.2), (0.1, -0.4, 0.0)]
@@ -186,7 +187,9 @@ def test_the_caller_can_stop(folder):
 
 
 def test_preprocessing_is_passed_on(folder):
-    plain, prepared = (detect_pairs(pairs_in(folder), BOARD, preprocess=flag) for flag in (False, True))
+    plain, prepared = (
+        detect_pairs(pairs_in(folder), BOARD, preparation=Preparation(strengthens=flag)) for flag in (False, True)
+    )
     difference = plain.detections.left_px - prepared.detections.left_px
     assert 0 < np.abs(difference).max() < 0.2
 

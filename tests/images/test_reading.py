@@ -300,3 +300,16 @@ def test_pipes_and_devices_are_named_not_read(tmp_path):
         read_image(tmp_path / "b.png")
     with pytest.raises(FormatError, match="name too long"):
         read_image(tmp_path / ("x" * 300))
+
+
+@pytest.mark.parametrize(("channel", "plane"), [("blue", 0), ("green", 1), ("red", 2)])
+def test_a_channel_is_that_colours_own_levels(tmp_path, channel, plane):
+    image = np.random.default_rng(0).integers(0, 65535, (40, 50, 3), dtype=np.uint16)
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    assert np.array_equal(read_stored_image(tmp_path / "a.png", channel).grey, image[..., plane])
+
+
+def test_a_grey_image_has_no_channel(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((40, 50), np.uint8))
+    with pytest.raises(FormatError, match="no red channel"):
+        read_stored_image(tmp_path / "a.png", "red")

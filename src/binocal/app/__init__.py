@@ -7,6 +7,7 @@ Each verb takes plain values, returns one, and neither prints nor reads the envi
 from __future__ import annotations
 
 from binocal.app.calibrate import CalibrationRun, calibrate_corners, calibrate_images, with_checks
+from binocal.app.channels import ChannelRow, ChannelStudy, study_channels
 from binocal.app.demo import DemoCase, demo
 from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_images, evaluate_truth
 from binocal.app.simulate import SimulateOptions, simulate, simulate_scene
@@ -18,6 +19,8 @@ from binocal.calibrators.base import CalibrationRequest
 __all__ = [
     "CalibrationRequest",
     "CalibrationRun",
+    "ChannelRow",
+    "ChannelStudy",
     "DemoCase",
     "ImageEvaluation",
     "SimulateOptions",
@@ -35,6 +38,7 @@ __all__ = [
     "simulate_scene",
     "simulate_turning_cameras",
     "simulate_zoom",
+    "study_channels",
     "train",
     "with_checks",
 ]

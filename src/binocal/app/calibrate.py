@@ -69,9 +69,12 @@ def calibrate_images(
     *,
     calibrator: str = "drl",
     preprocess: bool = False,
+    channel: str = "grey",
     measured_board: BoardShape | None = None,
 ) -> CalibrationRun:
     """Calibrate from the images that two globs or folders name; ``preprocess`` strengthens their edges first.
+
+    ``channel`` is that of colour images whose corners are measured: grey, red, green or blue.
 
     With ``measured_board``, the shape that an earlier calibration found of this very board, its points take the drawing's place.
 
@@ -80,13 +83,16 @@ def calibrate_images(
         CalibrationError: No trustworthy rig follows from them.
         CancelledError: ``request.should_stop`` returned True.
     """
+    from binocal.images.preprocessing import Preparation
+
     request = request or CalibrationRequest()
     started = time.perf_counter()
+    preparation = Preparation(channel, preprocess)
     with ThreadPoolExecutor(1) as aside:
         # What the solver needs is loaded while the first images are, of which one core is enough.
         loading = aside.submit(_load_calibrator, calibrator)
         found = find_corners(
-            left, right, board, preprocess, request.progress, request.should_stop, least_pairs=MIN_VIEWS
+            left, right, board, preparation, request.progress, request.should_stop, least_pairs=MIN_VIEWS
         )
         calibrate = loading.result()
     detections = replace(found.detections, board_spec=rig_json.format_board(board))
@@ -97,6 +103,7 @@ def calibrate_images(
         "opencv": _opencv_version(),
         "board": detections.board_spec,
         "preprocess": preprocess,
+        "channel": channel,
         "input_sha256": dict(found.input_sha256),
     }
     with explained(found.ignored, found.rejected, found.notes):

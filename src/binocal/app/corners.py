@@ -5,12 +5,16 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from binocal.boards import Board
 from binocal.errors import BinocalError, CalibrationError
 from binocal.evidence import Detections
 from binocal.progress import ProgressCallback, ShouldStop, stage_of
 from binocal.result import RejectedView
+
+if TYPE_CHECKING:
+    from binocal.images.preprocessing import Preparation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +32,7 @@ def find_corners(
     left: str,
     right: str,
     board: Board,
-    preprocess: bool,
+    preparation: Preparation | None,
     progress: ProgressCallback | None,
     should_stop: ShouldStop | None,
     least_pairs: int = 0,
@@ -50,7 +54,7 @@ def find_corners(
             board,
             progress=stage_of(progress, "finding corners"),
             should_stop=should_stop,
-            preprocess=preprocess,
+            preparation=preparation,
             least_pairs=least_pairs,
         )
     return FoundCorners(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
@@ -69,7 +73,7 @@ def detect_corners(
     Raises:
         DataError: The images cannot be used.
     """
-    return find_corners(left, right, board, False, progress, should_stop).detections
+    return find_corners(left, right, board, None, progress, should_stop).detections
 
 
 @contextlib.contextmanager

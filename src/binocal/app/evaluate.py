@@ -125,7 +125,7 @@ def evaluate_images(
     """
     if rig.is_metric and not board.is_metric:
         raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
-    found = find_corners(left, right, board, False, progress, should_stop)
+    found = find_corners(left, right, board, None, progress, should_stop)
     notes = list(found.notes)
     detections, side_m = found.detections, _side_m(board)
     for side, camera, size_wh in (

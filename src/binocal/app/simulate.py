@@ -15,7 +15,7 @@ from binocal.cameras import StereoRig
 from binocal.errors import DataError
 from binocal.formats import rig_json
 from binocal.images.containers import MOST_PIXELS
-from binocal.images.png import encode_png
+from binocal.images.encoding import encode_image
 from binocal.output import staged_folder, write_part
 from binocal.progress import ProgressCallback, stage_of
 
@@ -27,6 +27,7 @@ class SimulateOptions:
     """How to render: Gaussian blur of the lens (sigma, pixels), sensor noise (grey levels), seed, time between a pair's exposures.
 
     ``light`` is what the cameras see of a board: ``visible``, ``colour-thermal`` or ``thermal`` (:mod:`binocal.simulation.setups`).
+    With ``aberration_px`` images are in colour, and red lies so far outward in their corners, blue so far inward.
     """
 
     blur_px: float = 0.8
@@ -34,6 +35,7 @@ class SimulateOptions:
     seed: int = 0
     gap_s: float = 0.0
     light: str = "visible"
+    aberration_px: float = 0.0
 
 
 def simulate(
@@ -65,10 +67,21 @@ def simulate(
     _check(rig, n_pairs)
     pose_seed, image_seed = np.random.SeedSequence(options.seed).spawn(2)
     T_left_board = sample_board_poses(rig, board, n_pairs, np.random.default_rng(pose_seed))
-    truth = rig_json.Truth(rig, board, _names(n_pairs), T_left_board, options.noise_dn, options.blur_px)
+    truth = rig_json.Truth(
+        rig,
+        board,
+        _names(n_pairs),
+        T_left_board,
+        options.noise_dn,
+        options.blur_px,
+        aberration_px=options.aberration_px,
+    )
     rendering = Setup(rig, options.light).with_lens_and_noise(options.blur_px, options.noise_dn)
     shown = StereoScene(rig, board, T_left_board)
-    _write(render_pairs(shown, rendering, image_seed, stage_of(progress, "rendering")), truth, output, force)
+    images = render_pairs(
+        shown, rendering, image_seed, stage_of(progress, "rendering"), aberration_px=options.aberration_px
+    )
+    _write(images, truth, output, force)
     return truth
 
 
@@ -122,7 +135,7 @@ def _write(images: Images, truth: rig_json.Truth, output: str | Path, force: boo
     """All images and the truth, or nothing."""
     with staged_folder(output, force=force, former=_former_images, last=("truth.json",)) as folder:
         for view, side, image in images:
-            write_part(folder / f"{side}_{truth.names[view]}.png", encode_png(image))
+            write_part(folder / f"{side}_{truth.names[view]}.png", encode_image(image))
         rig_json.write_truth(folder / "truth.json", truth)
 
 

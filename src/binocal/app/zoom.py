@@ -29,6 +29,7 @@ def calibrate_zoom_images(
     calibrator: str = "zoom",
     setting: float | None = None,
     preprocess: bool = False,
+    channel: str = "grey",
 ) -> CalibrationRun:
     """Calibrate from the images that a CSV file lists by zoom setting; the rig is that at ``setting``, or in the middle.
 
@@ -41,14 +42,16 @@ def calibrate_zoom_images(
     from binocal.calibrators import calibrate_as_requested
     from binocal.evidence.zoom_settings import ZoomSettings
     from binocal.formats.zoom_csv import read_zoom_settings
+    from binocal.images.preprocessing import Preparation
 
     request = request or CalibrationRequest()
     started = time.perf_counter()
     rows = read_zoom_settings(settings_csv)
+    preparation = Preparation(channel, preprocess)
     found = []
     for row in rows:
         at = find_corners(
-            row.left, row.right, board, preprocess, request.progress, request.should_stop, least_pairs=MIN_VIEWS
+            row.left, row.right, board, preparation, request.progress, request.should_stop, least_pairs=MIN_VIEWS
         )
         found.append(at)
     names = [f"{row.setting:g}" for row in rows]
@@ -67,6 +70,7 @@ def calibrate_zoom_images(
     inputs = {
         "board": rig_json.format_board(board),
         "preprocess": preprocess,
+        "channel": channel,
         "input_sha256": {name: dict(at.input_sha256) for name, at in zip(names, found, strict=True)},
     }
     if setting is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import os
 import re
 import sys
@@ -68,14 +69,23 @@ def run(arguments: Sequence[str] | None = None) -> int:
         raise
 
 
-def _run(arguments: list[str]) -> Any:
+@functools.cache
+def _command() -> Any:
+    """The command line as typer builds it from the verbs' signatures, which takes longer than most refusals."""
+    from typer.main import get_command
+
     from binocal.cli.verbs import app
 
+    return get_command(app)
+
+
+def _run(arguments: list[str]) -> Any:
+    command = _command()
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         # NumPy's own, of numbers beyond a double's range: what follows from those is refused by name
         warnings.filterwarnings("ignore", category=RuntimeWarning)
-        return app(arguments, prog_name="binocal", standalone_mode=False)
+        return command(arguments, prog_name="binocal", standalone_mode=False)
 
 
 def _report_system(error: OSError | MemoryError, wants_json: bool) -> int:

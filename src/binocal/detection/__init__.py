@@ -3,6 +3,6 @@
 from binocal.detection.detect import detect
 from binocal.detection.found import FoundBoard
 from binocal.detection.pairs import PairDetections, detect_pairs
-from binocal.detection.preprocessing import strengthen_edges
+from binocal.images.preprocessing import strengthen_edges
 
 __all__ = ["FoundBoard", "PairDetections", "detect", "detect_pairs", "strengthen_edges"]

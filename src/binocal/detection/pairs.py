@@ -18,12 +18,11 @@ from binocal.boards import Board
 from binocal.datasets.folder import ImagePair, Pairing
 from binocal.detection.detect import detect_in_layout
 from binocal.detection.found import FoundBoard
-from binocal.detection.preprocessing import strengthen_edges
 from binocal.detection.unseen_boards import LookedAt, require_board
 from binocal.errors import CancelledError, DataError, DetectionError, FormatError
 from binocal.evidence import Detections
 from binocal.images.opencv_settings import single_threaded_opencv
-from binocal.images.reading import read_stored_image
+from binocal.images.preprocessing import Preparation
 from binocal.result import RejectedView
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's images; with fewer it is not clear which size the camera has
@@ -60,7 +59,7 @@ def detect_pairs(
     pairs: Pairing | Sequence[ImagePair],
     board: Board,
     *,
-    preprocess: bool = False,
+    preparation: Preparation | None = None,
     progress: Callable[[int, int], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
     n_threads: int | None = None,
@@ -79,12 +78,13 @@ def detect_pairs(
         DataError: There is no pair, no readable image, or a camera's images have no common size.
         CancelledError: ``should_stop`` returned True.
     """
+    preparation = preparation or Preparation()
     pairs = tuple(pairs.pairs if isinstance(pairs, Pairing) else pairs)
     if not pairs:
         raise DataError("there is no pair of images; left and right images are paired by the number in their names.")
     paths = [path for pair in pairs for path in (pair.left_path, pair.right_path)]
-    seen = _detect_all(paths, board, preprocess, None, progress, should_stop, n_threads)
-    seen = _agree_on_layout(seen, board, preprocess, should_stop, n_threads)
+    seen = _detect_all(paths, board, preparation, None, progress, should_stop, n_threads)
+    seen = _agree_on_layout(seen, board, preparation, should_stop, n_threads)
     sides = {"left": seen[0::2], "right": seen[1::2]}
     pages = _page_notes(sides)
     if pages and len(pairs) < MIN_PAIRS:
@@ -129,7 +129,7 @@ def detect_pairs(
 def _detect_all(
     paths: Sequence[Path],
     board: Board,
-    preprocess: bool,
+    preparation: Preparation,
     layout: Any,
     progress: Callable[[int, int], None] | None,
     should_stop: Callable[[], bool] | None,
@@ -140,7 +140,7 @@ def _detect_all(
     pool = ThreadPoolExecutor(n_threads or threads.n_threads())
     with single_threaded_opencv():
         try:
-            waiting = {pool.submit(_detect_one, path, board, preprocess, layout): i for i, path in enumerate(paths)}
+            waiting = {pool.submit(_detect_one, path, board, preparation, layout): i for i, path in enumerate(paths)}
             for done, future in enumerate(as_completed(waiting), start=1):
                 results[waiting[future]] = future.result()
                 if progress is not None:
@@ -152,19 +152,22 @@ def _detect_all(
     return [result for result in results if result is not None]
 
 
-def _detect_one(path: Path, board: Board, preprocess: bool, layout: Any) -> _Seen:
+def _detect_one(path: Path, board: Board, preparation: Preparation, layout: Any) -> _Seen:
     try:
-        image = read_stored_image(path)
+        image = preparation.read(path)
     except FormatError as error:
         return _Seen(path, problem=str(error.problem))
-    grey = strengthen_edges(image.grey) if preprocess else image.grey
-    found, proved = detect_in_layout(grey, board, layout)
-    size_wh = grey.shape[1], grey.shape[0]
+    found, proved = detect_in_layout(image.grey, board, layout)
+    size_wh = image.grey.shape[1], image.grey.shape[0]
     return _Seen(path, size_wh, found, proved, sha256=image.sha256, n_pages=image.n_pages)
 
 
 def _agree_on_layout(
-    seen: list[_Seen], board: Board, preprocess: bool, should_stop: Callable[[], bool] | None, n_threads: int | None
+    seen: list[_Seen],
+    board: Board,
+    preparation: Preparation,
+    should_stop: Callable[[], bool] | None,
+    n_threads: int | None,
 ) -> list[_Seen]:
     """Marker boards: the layout that most images prove holds for all.
 
@@ -175,7 +178,7 @@ def _agree_on_layout(
         return seen
     layout = votes.most_common(1)[0][0]
     again = [i for i, image in enumerate(seen) if image.found is not None and image.layout != layout]
-    renewed = _detect_all([seen[i].path for i in again], board, preprocess, layout, None, should_stop, n_threads)
+    renewed = _detect_all([seen[i].path for i in again], board, preparation, layout, None, should_stop, n_threads)
     seen = list(seen)
     for i, image in zip(again, renewed, strict=True):
         seen[i] = image

@@ -64,6 +64,8 @@ class Truth:
     blur_px: float = math.nan
     scene: str = ""
     gap_s: float = 0.0
+    aberration_px: float = 0.0
+    """Lateral chromatic aberration in the images' corners; 0 is a grey image."""
 
     def __post_init__(self) -> None:
         if self.T_left_board.t.shape != (len(self.names), 3):
@@ -187,6 +189,7 @@ def truth_document(truth: Truth) -> dict[str, Any]:
             "noise_dn": truth.noise_dn,
             "blur_px": truth.blur_px,
         }
+        | ({"aberration_px": truth.aberration_px} if truth.aberration_px else {})
     )
 
 
@@ -320,6 +323,7 @@ def read_truth(path: str | Path) -> Truth:
         blur_px=top.number("blur_px", allow_null=True),
         scene=scene,
         gap_s=gap_s,
+        aberration_px=top.number("aberration_px") if "aberration_px" in top.value else 0.0,
     )
 
 

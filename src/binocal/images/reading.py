@@ -34,6 +34,9 @@ GreyImage: TypeAlias = "UInt8[ndarray, 'h w'] | UInt16[ndarray, 'h w']"
 _DAMAGE = re.compile(r"Corrupt JPEG data|Premature end of JPEG|Inconsistent progression|libpng error")
 _HARMLESS = re.compile(r"Corrupt JPEG data: \d+ extraneous bytes before marker 0xd9")
 
+CHANNELS = ("grey", "red", "green", "blue")
+_PLANES = {"blue": 0, "green": 1, "red": 2}  # of an image in OpenCV's order
+
 _REMEDY = "export it as 8- or 16-bit PNG, TIFF, JPEG or BMP"
 
 
@@ -68,14 +71,22 @@ class StoredImage:
     n_pages: int = 1
 
 
-def read_stored_image(path: str | PathLike[str]) -> StoredImage:
+def read_stored_image(path: str | PathLike[str], channel: str = "grey") -> StoredImage:
     """As :func:`read_grey_image`, and what else is known of the file, which is read once for all.
 
+    ``channel`` is one of :data:`CHANNELS`; a single colour's own levels take the place of the luma.
+
     Raises:
-        FormatError: As in :func:`read_image`.
+        FormatError: As in :func:`read_image`, or there is a ``channel`` asked for and the image has no colours.
     """
     content = _read_bytes(Path(path))
-    grey = to_grey(_decode(Path(path), content, as_grey=True))
+    if channel == "grey":
+        grey = to_grey(_decode(Path(path), content, as_grey=True))
+    else:
+        image = _decode(Path(path), content, as_grey=False)
+        if image.ndim != 3:
+            raise FormatError(path, f"has no colours, so it has no {channel} channel; leave out the channel")
+        grey = np.ascontiguousarray(image[..., _PLANES[channel]])
     n_pages = count_pages(content) if identify_container(content) == "TIFF" else 1
     return StoredImage(grey, hashlib.sha256(content).hexdigest(), n_pages)
 

@@ -10,13 +10,14 @@ from numpy import ndarray
 
 from binocal.cameras import StereoRig
 from binocal.shapes import UInt
+from binocal.simulation.aberration import render_colour_image
 from binocal.simulation.renderer import RenderOptions, render_image
 from binocal.simulation.scene_renderer import SceneOptions, render_scene_image
 from binocal.simulation.scenes import StereoScene
 from binocal.simulation.textured_scenes import TexturedScene
 from binocal.threads import n_threads
 
-RenderOne = Callable[[int, int, np.random.Generator], UInt[ndarray, "h w"]]
+RenderOne = Callable[[int, int, np.random.Generator], ndarray]
 """The image of a view by camera 0 (left) or 1."""
 
 
@@ -25,17 +26,22 @@ def render_pairs(
     options: RenderOptions | tuple[RenderOptions, RenderOptions],
     seed: np.random.SeedSequence,
     progress: Callable[[int, int], None] | None = None,
-) -> Iterator[tuple[int, str, UInt[ndarray, "h w"]]]:
+    *,
+    aberration_px: float = 0.0,
+) -> Iterator[tuple[int, str, UInt[ndarray, "h w"] | UInt[ndarray, "h w 3"]]]:
     """(view, ``left`` or ``right``, image) of every view of a board, in the order in which they get done.
 
-    Two options are those of the left and of the right camera.
+    Two options are those of the left and of the right camera. With ``aberration_px`` images are in colour, red and blue displaced by
+    so much in their corners (:mod:`binocal.simulation.aberration`).
     """
     looks = options if isinstance(options, tuple) else (options, options)
     rig, T_left_board = scene.rig, scene.T_left_board
     sides = ((rig.left, T_left_board), (rig.right, rig.T_right_left @ T_left_board))
 
-    def render(view: int, side: int, rng: np.random.Generator) -> UInt[ndarray, "h w"]:
+    def render(view: int, side: int, rng: np.random.Generator) -> ndarray:
         camera, T_camera_board = sides[side]
+        if aberration_px:
+            return render_colour_image(camera, T_camera_board[view], scene.board, looks[side], aberration_px, rng)
         return render_image(camera, T_camera_board[view], scene.board, looks[side], rng).image
 
     return _render_all(render, len(T_left_board.t), seed, progress)
@@ -61,11 +67,11 @@ def render_scene_pairs(
 
 def _render_all(
     render: RenderOne, n_views: int, seed: np.random.SeedSequence, progress: Callable[[int, int], None] | None
-) -> Iterator[tuple[int, str, UInt[ndarray, "h w"]]]:
+) -> Iterator[tuple[int, str, ndarray]]:
     """Each image has a random stream of its own. A consumer that stops early ends the rendering."""
     seeds = seed.spawn(2 * n_views)
 
-    def one(job: tuple[int, int]) -> tuple[int, str, UInt[ndarray, "h w"]]:
+    def one(job: tuple[int, int]) -> tuple[int, str, ndarray]:
         view, side = job
         return view, ("left", "right")[side], render(view, side, np.random.default_rng(seeds[2 * view + side]))
 

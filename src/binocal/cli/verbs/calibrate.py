@@ -47,6 +47,15 @@ class Exposures(enum.StrEnum):
     apart = "apart"
 
 
+class Channels(enum.StrEnum):
+    """Whose levels corners are measured in; those of :data:`binocal.images.CHANNELS`."""
+
+    grey = "grey"
+    red = "red"
+    green = "green"
+    blue = "blue"
+
+
 MODELS = "|".join(Model)
 
 
@@ -147,6 +156,14 @@ def calibrate(
     preprocess: Annotated[
         bool, typer.Option("--preprocess", help="Filter the images and strengthen their edges first.")
     ] = False,
+    channel: Annotated[
+        Channels,
+        typer.Option(
+            "--channel",
+            help="Of colour images: measure corners in one colour's own levels.",
+            metavar="|".join(Channels),
+        ),
+    ] = Channels.grey,
     max_views: Annotated[
         int | None,
         typer.Option(
@@ -200,8 +217,9 @@ def calibrate(
         raise typer.BadParameter("--at is a setting of --zoom.")
     if board_file is not None and zoom is not None:
         raise typer.BadParameter("--board-file does not go with --zoom.")
-    if corners is not None and (preprocess or board_file is not None):
-        raise typer.BadParameter("--preprocess and --board-file belong to images; leave them out, or --corners.")
+    if corners is not None and (preprocess or channel is not Channels.grey or board_file is not None):
+        text = "--preprocess, --channel and --board-file belong to images; leave them out, or --corners."
+        raise typer.BadParameter(text)
     if evidence is not None and kind != "board":
         raise typer.BadParameter("--evidence keeps corners of a board; leave it out.")
     if opencv is not None and skew:
@@ -225,12 +243,13 @@ def calibrate(
             assert corners is not None  # there is no other source without a board
             run = verbs.calibrate_corners(corners, request, calibrator=calibrator)
         elif zoom is not None:
-            run = _calibrate_zoom(zoom, parsed, request, at, preprocess)
+            run = _calibrate_zoom(zoom, parsed, request, at, preprocess, channel.value)
         else:
             run = verbs.calibrate_images(
                 *(str(left), str(right), parsed, request),
                 calibrator=calibrator,
                 preprocess=preprocess,
+                channel=channel.value,
                 measured_board=measured_board,
             )
         run = verbs.with_checks(run, request) if checks else run
@@ -315,12 +334,12 @@ def _read_prior(path: Path | None, hold: str | None, model: str) -> RigPrior | N
 
 
 def _calibrate_zoom(
-    zoom: Path, board: Board, request: CalibrationRequest, at: float | None, preprocess: bool
+    zoom: Path, board: Board, request: CalibrationRequest, at: float | None, preprocess: bool, channel: str
 ) -> CalibrationRun:
     from binocal import app as verbs
 
     try:
-        return verbs.calibrate_zoom_images(zoom, board, request, setting=at, preprocess=preprocess)
+        return verbs.calibrate_zoom_images(zoom, board, request, setting=at, preprocess=preprocess, channel=channel)
     except ValueError as error:
         raise typer.BadParameter(f"--at: {error}.") from None
 

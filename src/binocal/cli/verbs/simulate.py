@@ -11,6 +11,7 @@ from binocal.cli.arguments import one_of, parse_board
 from binocal.cli.exits import FINE
 from binocal.cli.options import BOARD_HELP, Force, Json, Seed, Threads, app, finite, present
 
+MOST_ABERRATION_PX = 20.0
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
 
 
@@ -62,6 +63,17 @@ def simulate(
             callback=finite,
         ),
     ] = 0.0,
+    aberration: Annotated[
+        float,
+        typer.Option(
+            "--aberration",
+            help="For boards: colour images in whose corners red lies so far outward, and blue inward.",
+            metavar="PX",
+            min=-MOST_ABERRATION_PX,
+            max=MOST_ABERRATION_PX,
+            callback=finite,
+        ),
+    ] = 0.0,
     seed: Seed = 0,
     threads: Threads = None,
     force: Force = False,
@@ -73,6 +85,8 @@ def simulate(
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
 
+    if aberration and rig in (ZOOM, TURNING):
+        raise typer.BadParameter(f"--aberration does not go with --rig {rig}.")
     if rig == ZOOM:
         return _simulate_zoom(pairs, output, (board, scene), (blur, noise, seed), force, json)
     if rig == TURNING:
@@ -81,6 +95,8 @@ def simulate(
         raise typer.BadParameter("give either --board SPEC or --scene street|room.")
     if gap and scene is None:
         raise typer.BadParameter("--gap belongs to --scene: boards stand still.")
+    if aberration and board is None:
+        raise typer.BadParameter("--aberration belongs to --board: scenes are grey.")
     parsed = None if board is None else parse_board(board)
     if parsed is not None and not parsed.is_metric:
         raise typer.BadParameter("a simulated board needs its size: give the length a unit, such as 20mm.")
@@ -91,7 +107,7 @@ def simulate(
     from binocal.simulation import SETUPS, Setup
 
     setup = SETUPS[rig]() if rig in SETUPS else Setup(load_rig(rig))
-    options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap, setup.light)
+    options = verbs.SimulateOptions(blur, noise, seed, 1e-3 * gap, setup.light, aberration)
     with progress_on_terminal() as progress:
         if parsed is not None:
             truth = verbs.simulate(setup.rig, parsed, pairs, output, options, force=force, progress=progress)

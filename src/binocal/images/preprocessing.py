@@ -1,14 +1,36 @@
-"""The paper's preparation of images: a filter against noise, then stronger edges."""
+"""What is done to an image before a board is looked for: a colour channel chosen, and the paper's filter and stronger edges."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
+from binocal.images.reading import StoredImage, read_stored_image
+
 SMOOTHING_PX = 0.7
 EDGE_SCALE_PX = 1.6
 EDGE_GAIN = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """How images are read for their corners: the channel (:data:`binocal.images.CHANNELS`), and whether edges are strengthened."""
+
+    channel: str = "grey"
+    strengthens: bool = False
+
+    def read(self, path: Path) -> StoredImage:
+        """An image file, prepared.
+
+        Raises:
+            FormatError: As in :func:`binocal.images.reading.read_stored_image`.
+        """
+        image = read_stored_image(path, self.channel)
+        return replace(image, grey=strengthen_edges(image.grey)) if self.strengthens else image
 
 
 def strengthen_edges(image: ndarray) -> ndarray:
