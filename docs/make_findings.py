@@ -291,10 +291,11 @@ EXPLANATIONS = {
         right, and is said to be far.""",
     "cameras-are-others": """
         Focal lengths, principal points and distortions of both cameras are held; freed together, beside a pose for each pair, they
-        would take away what a wrong calibration leaves. Where that is more than 60 % of the squared residuals and more than
-        0.06 px (RMS), the cameras are not those of the images, and a turn of the rig would be an artefact. Good calibrations
-        leave up to 58 % where it is 0.04 px, and up to 44 % where it is more than 0.06 px. Of rectified images without a lens a
-        focal length that both cameras have wrong leaves nothing: rows stay equal, and this cannot tell.""",
+        would take away what a wrong calibration leaves. What a good calibration may leave, three standard deviations of each
+        pattern, is set off. Where the rest is more than 35 % of the squared residuals and more than 0.045 px (RMS), the cameras
+        are not those of the images, and a turn of the rig would be an artefact. Good calibrations leave up to 31 % where it is
+        0.03 px, and up to 19 % where it is 0.056 px. Of rectified images without a lens a focal length that both cameras have
+        wrong leaves nothing: rows stay equal, and this cannot tell.""",
     "pairs-contradict": """
         Every pair of a rig shows the same pose. Where half of the pairs or more do not fit with the others, nothing tells which
         are right.""",

@@ -148,9 +148,9 @@ _KINDS = (
     ),
     FindingKind(
         "cameras-are-others", _R, "The images are not of the cameras given",
-        "the cameras' own parameters do not fit the images: by the best pose matches are {held_px:.2f} px off (RMS), and {share_percent:.0f} % "
-        "of their squares are a pattern that other cameras would not leave ({freed_px:.2f} px): the rig's file is of other cameras, or the "
-        "images were cropped, resized or rectified; {remedy}.",
+        "the cameras' own parameters do not fit the images: by the best pose matches are {held_px:.2f} px off (RMS), and {pattern_px:.2f} px "
+        "of it, {share_percent:.0f} % of the squares, are a pattern that only other cameras would not leave: the rig's file is of other "
+        "cameras, or the images were cropped, resized or rectified; {remedy}.",
         "give the file of the cameras that took these images, and images as they take them; or calibrate them anew with a board",
         InconsistentViewsError,
     ),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
-from binocal.calibrators.natural_cameras import assumed_sigma, slopes_of
+from binocal.calibrators.natural_cameras import assumed_covariance, slopes_of
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import InconsistentViewsError
 from binocal.evidence.point_matches import PointMatches
@@ -159,6 +159,16 @@ def test_other_cameras_are_named_not_called_drift():
                 solve(one, others, old)
 
 
+def test_cameras_as_a_good_calibration_leaves_them_are_no_others():
+    """Errors of one assumed standard deviation leave a tenth of a pixel here, none of it beyond what they may leave."""
+    rng = np.random.default_rng(5)
+    root = np.linalg.cholesky(assumed_covariance(cameras(), of_no_lens=True) + 1e-18 * np.eye(18))
+    for _ in range(4):
+        moved = np.split(root @ rng.normal(size=18), 2)
+        wrong = tuple(replace(c, parameters=c.parameters + m) for c, m in zip(cameras(), moved, strict=True))
+        assert solve(street(rng, cameras(), 600, 0.1), wrong).noise_px < 0.2
+
+
 def test_pairs_that_differ_are_no_sign_of_other_cameras():
     """Of two pairs the right camera of one is turned by a tenth of a degree, which leaves half a pixel."""
     one, two = pairs(np.random.default_rng(8), 2)
@@ -167,7 +177,7 @@ def test_pairs_that_differ_are_no_sign_of_other_cameras():
     matches = PointMatches.joined([one, two])
     problem, _ = EpipolarProblem.of_matches(cameras(), matches)
     pose = RelativePose.of(T_RIGHT_LEFT)
-    sigma = assumed_sigma(cameras())
-    slopes = slopes_of(problem, matches, pose, cameras(), sigma)
+    covariance = assumed_covariance(cameras(), of_no_lens=True)
+    slopes = slopes_of(problem, matches, pose, cameras(), np.sqrt(np.diagonal(covariance)))
     equations = problem.linearize(pose, np.asarray(1.0), "squared")
-    assert camera_misfit(equations, matches.pair, slopes, sigma) is None
+    assert camera_misfit(equations, matches.pair, slopes, covariance) is None

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from binocal.calibrators.natural_cameras import (
     asked,
-    assumed_sigma,
+    assumed_covariance,
     intrinsics_covariance,
     parameters_asked_for,
     refuse_other_cameras,
@@ -165,7 +165,9 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     if untold is not None and request.old is None:
         raise refusal(untold_finding(covariance, is_kept=False))
     if not is_mixed_up(estimate, request.given):
-        refuse_other_cameras(camera_misfit(solved.equations, matches.pair, slopes, assumed_sigma(request.cameras)))
+        allowed = assumed_covariance(request.cameras, of_no_lens=True)
+        allowed += of_cameras if request.intrinsics is not None else 0.0
+        refuse_other_cameras(camera_misfit(solved.equations, matches.pair, slopes, allowed))
     if untold is not None and request.old is not None:
         kept.append(untold_finding(covariance, is_kept=True))
         for _ in range(KEPT_ROUNDS):  # what a scene tells depends on the pose at which it is asked
@@ -197,7 +199,8 @@ def _slopes(
 ) -> Float[ndarray, "n p"]:
     """By all parameters, those of which a rig file says that they are exact too."""
     sigma = np.sqrt(np.diagonal(of_cameras))
-    step = np.where(sigma > 0, sigma, assumed_sigma(cameras))
+    assumed = np.sqrt(np.diagonal(assumed_covariance(cameras, of_no_lens=True)))
+    step = np.where(sigma > 0, sigma, assumed)
     return slopes_of(solved.problem, solved.matches, solved.estimate, cameras, step)
 
 

@@ -19,7 +19,8 @@ from binocal.solvers.epipolar import EpipolarEquations
 from binocal.solvers.epipolar_covariance import draws_of_regions
 
 MIN_SIGMAS = 4.0
-FREED_TIMES = 100.0  # what a good calibration leaves uncertain: another lens, or a focal length that is 4 % another
+FREED_TIMES, ALLOWED_SIGMAS = 100.0, 3.0
+"""Of what a good calibration leaves uncertain: another lens, or a focal length that is 4 % another; and what may be a good calibration."""
 ENOUGH_SIGNIFICANCE = (
     10.0  # by which the log likelihood must rise beyond half the logarithm of n for each parameter freed
 )
@@ -60,37 +61,34 @@ def clearest_ask(
 
 @dataclass(frozen=True, slots=True)
 class CameraMisfit:
-    """Residuals (RMS, pixels) with the cameras as they are held, and with all of their parameters freed beside a pose for each pair."""
+    """Residuals (RMS, pixels) with the cameras as they are held, and what of them is a pattern that only other cameras explain."""
 
     held_px: float
-    freed_px: float
-
-    @property
-    def pattern_px(self) -> float:
-        """What other cameras would not leave, RMS."""
-        return float(np.sqrt(max(self.held_px**2 - self.freed_px**2, 0.0)))
+    pattern_px: float
 
     @property
     def share(self) -> float:
         """Of the squared residuals."""
-        return 1.0 - (self.freed_px / max(self.held_px, 1e-300)) ** 2
+        return (self.pattern_px / max(self.held_px, 1e-300)) ** 2
 
 
 def camera_misfit(
     equations: EpipolarEquations,
     pair: Int[ndarray, "n"],
     slopes: Float[ndarray, "n p"],
-    sigma: Float[ndarray, "p"],
+    covariance: Float[ndarray, "p p"],
 ) -> CameraMisfit | None:
     """How much of the residuals other cameras would not leave, to first order, the kernel's weights held; None if that may be chance.
 
-    ``slopes`` are derivatives of the residuals by all parameters of both cameras, ``sigma`` what a good calibration leaves uncertain of
-    each: they are freed by :data:`FREED_TIMES` as much. Every pair has a pose of its own, so that pairs which differ count for nothing.
+    ``slopes`` are derivatives of the residuals by all parameters of both cameras, ``covariance`` what a good calibration leaves
+    uncertain of them: of each pattern that they leave, :data:`ALLOWED_SIGMAS` are no other cameras. Every pair has a pose of its own,
+    so that pairs which differ count for nothing.
     """
     right = equations.weights > 0
     root = np.sqrt(equations.weights[right])
     r, J, own = root * equations.residuals_px[right], root[:, None] * equations.jacobian[right], pair[right]
-    A = root[:, None] * slopes[right] * (FREED_TIMES * sigma)
+    values, vectors = np.linalg.eigh(covariance)
+    A = root[:, None] * (slopes[right] @ (vectors * np.sqrt(np.maximum(values, 0.0))))
     n_poses = 0
     for k in np.unique(own):
         here = own == k
@@ -101,17 +99,15 @@ def camera_misfit(
     patterns, size, _ = np.linalg.svd(A, full_matrices=False)
     n = int(right.sum()) - n_poses
     noise2 = float(r @ r) / max(n, 1)
-    told = (
-        size**2 > noise2
-    )  # by more than the noise of the matches, were the parameters off by as much as they are freed
-    amplitude = patterns.T @ r * told * size**2 / (size**2 + noise2)
-    left = r - patterns @ amplitude
+    told = (FREED_TIMES * size) ** 2 > noise2  # another camera would leave it by more than the noise of the matches
+    amplitude = np.abs(patterns.T @ r) * told
     n_told = int(told.sum())
     if n <= 2 * n_told:
         return None
-    weight = float((root**2).mean())
-    freed2 = float(left @ left) / (n - n_told)
+    freed2 = (float(r @ r) - float(amplitude @ amplitude)) / (n - n_told)
     rise = 0.5 * n * np.log(max(noise2, 1e-300) / max(freed2, 1e-300))
     if rise < 0.5 * n_told * np.log(n) + ENOUGH_SIGNIFICANCE:
         return None
-    return CameraMisfit(float(np.sqrt(noise2 / weight)), float(np.sqrt(freed2 / weight)))
+    beyond = np.maximum(amplitude - ALLOWED_SIGMAS * size, 0.0)
+    weight = n * float((root**2).mean())
+    return CameraMisfit(float(np.sqrt(noise2 * n / weight)), float(np.sqrt(beyond @ beyond / weight)))
