@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from binocal.app.natural_drift import AGAINST_RIG, Drift, depth_error_percent, drift_of, reference_document
+from binocal.app.natural_drift import (
+    AGAINST_RIG,
+    Drift,
+    depth_error_percent,
+    drift_of,
+    made_by_recalibrate,
+    reference_document,
+)
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
@@ -53,6 +60,8 @@ class NaturalSource:
     covariance: Covariance | None = None
     reference: Mapping[str, Any] | None = None
     length_from: str = "the old rig"
+    made: Mapping[str, Any] | None = None
+    """The same of a rig that is itself a result of ``recalibrate``."""
     findings: tuple[Finding, ...] = ()
     """What the data set has to say of its files."""
 
@@ -149,7 +158,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     calibration = calibrate_from_matches(matches, request)
     calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))
     right = _right_matches(cameras, calibration, matches)
-    drift = drift_of(calibration, source.rig, source.covariance, source.reference)
+    drift = drift_of(calibration, source.rig, source.covariance, source.reference, source.made)
     elapsed = {"matching": matched - started, "solve": time.perf_counter() - matched}
     return NaturalRun(
         calibration, row_figures(source.rig, right), row_figures(calibration.rig, right), drift, right, elapsed
@@ -237,9 +246,7 @@ def source_of_dataset(text: str, given: StereoCalibration | None) -> NaturalSour
     """
     part = open_dataset(text).by_rig()[0]
     if given is not None:
-        return NaturalSource(
-            part.stereo_pairs, given.rig, given.covariance, given.extra.get(REFERENCE), findings=part.findings
-        )
+        return _source_of(part.stereo_pairs, given, part.findings)
     if part.rig is None:
         raise DataError(f"{part.path}: nothing says what cameras took these images; give the rig with --rig.")
     return NaturalSource(part.stereo_pairs, part.rig, length_from=part.scale_source, findings=part.findings)
@@ -257,4 +264,12 @@ def source_of_images(left: str, right: str, given: StereoCalibration) -> Natural
     if pairing.ignored:
         names = name_some(path.name for path, _ in pairing.ignored)
         findings = (finding("dataset-frames-left-out", n_out=len(pairing.ignored), n_pairs=len(pairs), names=names),)
-    return NaturalSource(pairs, given.rig, given.covariance, given.extra.get(REFERENCE), findings=findings)
+    return _source_of(pairs, given, findings)
+
+
+def _source_of(pairs: Sequence[StereoPair], given: StereoCalibration, findings: tuple[Finding, ...]) -> NaturalSource:
+    """Pairs of a rig that was given."""
+    reference = given.extra.get(REFERENCE)
+    return NaturalSource(
+        pairs, given.rig, given.covariance, reference, made=made_by_recalibrate(given), findings=findings
+    )
