@@ -267,7 +267,10 @@ EXPLANATIONS = {
         turn or twelve degrees of direction, nothing is said instead of something wrong.""",
     "scene-tells-too-little-kept": """
         As *the scene does not tell the pose*, but an old rig was given: the directions that the scene does tell are estimated,
-        the others stay as the old rig has them, with standard deviations that say so.""",
+        the others stay as the old rig has them, with standard deviations that say so. Where an angle or the direction of the
+        translation is untold by itself, it stays exactly as it was. Where the scene does not tell unknowns apart, such as yaw
+        from the forward part of the translation, it is their combination that stays, and the text states it: the sum of the
+        changes from the old rig, in degrees and with these factors, is 0, while each of them alone may have changed.""",
     "image-shows-nothing": """
         Points are sought where the image changes in two directions. An image in which hardly any stand out is black, white,
         covered, of a bare wall, or far out of focus.""",

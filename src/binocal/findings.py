@@ -113,7 +113,7 @@ _KINDS = (
     FindingKind(
         "scene-tells-too-little-kept", _W, "What the scene does not tell was kept as it was",
         "the scene does not tell {what} (standard deviations: turn {turn_sigma_deg:.1f} deg, direction of the translation "
-        "{direction_sigma_deg:.0f} deg): it was kept at the old rig's value; {remedy}.",
+        "{direction_sigma_deg:.0f} deg): {kept}; {remedy}.",
         "take pairs with near and far things all over the image",
     ),
     FindingKind(

@@ -143,7 +143,7 @@ def _measure(
 def _refuse_untold(found: StereoCalibration) -> None:
     """Raises CalibrationError: an angle was kept as it was, which is no measurement."""
     for one in found.findings:
-        if one.code == "scene-tells-too-little-kept" and one.figures["what"] in ANGLES:
+        if one.code == "scene-tells-too-little-kept" and one.figures["least_told"] in ANGLES:
             raise CalibrationError(one.text)
 
 

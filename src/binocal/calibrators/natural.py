@@ -33,7 +33,13 @@ from binocal.calibrators.natural_checks import (
     unlike_file,
 )
 from binocal.calibrators.natural_start import BestStart, Guess, best_start
-from binocal.calibrators.natural_untold import limited_to_kept, untold_finding, untold_part, with_untold_kept
+from binocal.calibrators.natural_untold import (
+    as_seen_from,
+    limited_to_kept,
+    untold_finding,
+    untold_part,
+    with_untold_kept,
+)
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -163,22 +169,25 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     kept: list[Finding] = []
     untold = untold_part(covariance)
     if untold is not None and request.old is None:
-        raise refusal(untold_finding(covariance, is_kept=False))
+        raise refusal(untold_finding(covariance, untold, estimate, is_kept=False))
     if not is_mixed_up(estimate, request.given):
         allowed = assumed_covariance(request.cameras, of_no_lens=True)
         allowed += of_cameras if request.intrinsics is not None else 0.0
         refuse_other_cameras(camera_misfit(solved.equations, matches.pair, slopes, allowed))
     if untold is not None and request.old is not None:
-        kept.append(untold_finding(covariance, is_kept=True))
+        old = RelativePose.of(request.old)
+        held, of_held = as_seen_from(untold, estimate, old), covariance
         for _ in range(KEPT_ROUNDS):  # what a scene tells depends on the pose at which it is asked
-            estimate = with_untold_kept(problem, untold, RelativePose.of(request.old), noise_px)
+            untold = untold_part(covariance)
+            if untold is not None:
+                held, of_held = as_seen_from(untold, estimate, old), covariance
+            estimate = with_untold_kept(problem, held, old, noise_px)
             equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
             solved = replace(solved, estimate=estimate, equations=equations)
             refuse_wrong(matches, solved.is_right, noise_px)
             slopes = _slopes(solved, request.cameras, of_cameras)
             covariance, random = _covariance(solved, request, of_cameras, slopes)
-            again = untold_part(covariance)
-            untold = untold if again is None else again
+        kept.append(untold_finding(of_held, held, old, is_kept=True))
         covariance = limited_to_kept(covariance)
     regions = regions_of(matches.left_px, request.cameras[0].size_wh)
     told_of = slopes * (np.diagonal(of_cameras) > 0)
