@@ -106,7 +106,7 @@ EXPLANATIONS = {
         AprilGrid or a circle grid of any size. Two of them must agree. A chessboard and circles are proposed where detection finds
         them under that very SPEC; a marker board where the ids of its markers fit the places at which they lie for one number of
         columns only, and its number of rows where an image shows its end. The marker's side, which is measured to some percent,
-        is left to you.""",
+        is left to you. Markers in mirrored images cannot be read: the board is looked for in the mirrored image too.""",
     "markers-too-small": """
         The squares of a ChArUco board are found when they are 7 px wide. Its markers are read by their code: rendered
         sharp, all are read where a cell of the code is 2.5 px wide, half of them at 1.8 px, none at 1 px. Without markers it is
@@ -186,7 +186,8 @@ EXPLANATIONS = {
     "cameras-exchanged": """
         Seen from either camera, the one called right stands to the left. Nothing is wrong with the numbers; most stereo
         software expects the other order. Of a rig with one camera upside down or on its side this is not said: there the two
-        cameras see their order differently, and exchanging them would change nothing.""",
+        cameras see their order differently, and exchanging them would change nothing. Mirrored images of both cameras, as
+        some webcams give them, look the same: a chessboard is its own mirror image.""",
     "corner-orders-repaired": """
         A chessboard with an even and an odd number of squares has no upside-down, others have. The two cameras numbered the
         corners from different ends in most views; they were put into one order. A camera that is mounted upside down does so,
@@ -421,6 +422,24 @@ EXPLANATIONS = {
     "dataset-image-size-differs": """
         A calibration holds for the size of image that it was made with. Images that were resized need another focal length, cropped
         ones another principal point; rectified images with the calibration of raw ones give a wrong rig without any other sign.""",
+    "dataset-frame-unknown": """
+        `--rig-of` names the pair whose calibration is to be used, by its whole name or by how that begins (a city of Cityscapes, a
+        number of KITTI's). The names are those of the left images without their ending; the message lists the first.""",
+    "known-length-not-found": """
+        The ends of a `--known-length` are given in the left image; their partners are sought in the right one along the epipolar
+        line, by a window of 19 pixels, or of 13 or 9 where that shows things at several depths. An end in the middle of a blank wall,
+        at the image's border, on a repeated pattern, or hidden from the right camera has no clear partner.""",
+    "known-length-tells-too-little": """
+        The length of the translation is the old one times the true length over the measured one, so it is as uncertain as the
+        measured length: a pixel of pointing and of matching at both ends, and what the rig's turn is uncertain by, which matters where
+        the ends lie at different depths. Twenty percent and more are not written into a rig.""",
+    "known-lengths-disagree": """
+        Each `--known-length` gives a baseline of its own, with a standard deviation. Two of them differ by more than four of those of
+        their difference: a length is mistaken, or an end does not lie where it was pointed at. The result is their weighted mean.""",
+    "dataset-rigs-left-out": """
+        Cityscapes, KITTI's stereo and object sets and Middlebury have a calibration for every image, and pairs of different rigs must
+        not be pooled. Used is the calibration that `--rig-of FRAME` names, else the one whose cameras are those of `--rig`, else the
+        one of most pairs; all pairs of other calibrations are left out.""",
     "dataset-has-several-rigs": """
         Cityscapes, KITTI's stereo and object sets and Middlebury have a calibration per image, which changes between recordings.
         Pairs of different rigs must not be pooled. `Dataset.by_rig()` gives the parts that have one rig each, the largest first.""",

@@ -28,6 +28,7 @@ CHECKED = [
     "datasets",
     "detection",
     "simulation",
+    "printing",
     "metrics",
     "initialization",
     "set_checks",

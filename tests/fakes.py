@@ -90,9 +90,9 @@ class FakePackages:
         return Pairing(pairs, (("left99 copy.png", "a copy of left99.png"),))
 
     def _detect_pairs(
-        self, pairs, board, *, progress=None, should_stop=None, n_threads=None, preprocess=False, least_pairs=0
+        self, pairs, board, *, progress=None, should_stop=None, n_threads=None, preparation=None, least_pairs=0
     ):
-        self.calls["preprocess"] = preprocess
+        self.calls["preprocess"] = preparation is not None and preparation.strengthens
         if progress:
             progress(len(pairs), len(pairs))
         return PairDetections(
@@ -139,7 +139,7 @@ class FakePackages:
         self.calls["bound"] = {"n_views": len(T_left_board.t), "noise_px": noise_px, "n_seen": int(left_is_seen.sum())}
         return self._calibrate(self.detections, None).covariance
 
-    def _render_pairs(self, scene, options, seed, progress=None):
+    def _render_pairs(self, scene, options, seed, progress=None, aberration_px=0.0):
         n_views = len(scene.T_left_board.t)
         for view in range(n_views):
             for side, camera in (("left", scene.rig.left), ("right", scene.rig.right)):

@@ -94,7 +94,7 @@ def cut_by_signal(verb: Verb, way: str, after_s: float, folder: Path) -> tuple[i
         process.wait(after_s)
     except subprocess.TimeoutExpired:
         process.send_signal(getattr(signal, f"SIG{way}"))
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=600)
     return process.returncode, said
 
 
@@ -186,6 +186,8 @@ def main() -> int:
     if options.on_disk:
         _on_disk(*json.loads(options.on_disk))
         return 0
+    # a shell's background commands ignore SIGINT, and their children would; a handler of our own is not inherited
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     ways = tuple(options.ways)
     if "DISK" in ways and not has_name_spaces():
         print("no full disk: this system lets nobody mount one (unshare -rm)")

@@ -165,6 +165,16 @@ def test_images_are_evaluated_without_truth(fakes):
     assert evaluation.row_error.rms_px < 1e-6 and evaluation.rejected == fakes.rejected
 
 
+def test_images_are_evaluated_on_the_board_as_measured(fakes):
+    larger = scaled(fakes.rig, 1.01)
+    evaluation = app.evaluate_images(larger, "l", "r", BOARD, measured_m=(1.01 * 0.12, 1.01 * 0.09))
+    assert evaluation.pixel_error.all_px < 1e-9 and evaluation.length_error.scale_rms_percent < 1e-7
+    nominal = app.evaluate_images(larger, "l", "r", BOARD).length_error
+    assert nominal.scale_rms_percent == pytest.approx(1.0, rel=0.02)
+    with pytest.raises(DataError, match="A-C measures 120mm and should have 90mm"):
+        app.evaluate_images(larger, "l", "r", BOARD, measured_m=(0.12, 0.12))
+
+
 def test_a_view_without_a_pose_is_left_out_of_the_pixel_error(fakes):
     left, right = fakes.detections.left_px.copy(), fakes.detections.right_px.copy()
     left[1], right[1] = np.nan, np.nan

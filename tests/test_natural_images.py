@@ -284,6 +284,35 @@ def test_a_data_set_brings_its_cameras(data_dir, capsys):
     assert run("check") == 2
 
 
+def euroc_of(folder, path):
+    """The first pair of the folder in EuRoC's layout, the left camera as the body."""
+    for k, (camera, T_body, side) in enumerate(((RIG.left, SE3.identity(), "left"), (RIG.right, T.inverse(), "right"))):
+        cam = path / "mav0" / f"cam{k}"
+        (cam / "data").mkdir(parents=True)
+        shutil.copy(folder / f"{side}_00.png", cam / "data" / "1403715273262142976.png")
+        matrix = np.vstack([np.column_stack([T_body.R, T_body.t]), [0, 0, 0, 1]])
+        (cam / "sensor.yaml").write_text(
+            f"T_BS:\n  data: {matrix.ravel().tolist()}\nrate_hz: 20\nresolution: {list(SIZE)}\ncamera_model: pinhole\n"
+            f"intrinsics: {camera.parameters[:4].tolist()}\ndistortion_model: radial-tangential\n"
+            f"distortion_coefficients: {camera.parameters[5:].tolist()}\n"
+        )
+    return f"euroc:{path}"
+
+
+def test_a_data_set_keeps_its_own_rig_with_a_reference(folder, tmp_path, capsys):
+    """No --rig: the cameras and the pose are the data set's, and `check` finds the reference in what was written."""
+    dataset, held = euroc_of(folder, tmp_path / "set"), tmp_path / "held.json"
+    assert run("recalibrate", "--dataset", dataset, "--reference", "--output", held) == 0
+    kept = rig_json.read_calibration(held)
+    assert np.allclose(kept.rig.T_right_left.R, T.R) and kept.provenance["length_from"] == "T_BS in sensor.yaml, metres"
+    capsys.readouterr()
+    assert run("check", "--dataset", dataset, "--rig", held, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["drift"]["against"] == "the file's own reference"
+    assert run("check", "--dataset", dataset, "--rig-of", "2021") == 3
+    assert "no pair is called 2021" in capsys.readouterr().err
+    assert run("check", *sources(folder), "--rig", held, "--rig-of", "2021") == 2
+
+
 def test_check_sees_a_translation_that_points_elsewhere(folder, tmp_path, capsys):
     """Rows are off by pixels then, though no angle has moved."""
     swung = so3.exp(np.radians([0.0, 0.0, 10.0])) @ T.t

@@ -12,6 +12,9 @@ from binocal.rl.registration import register_if_loaded
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from binocal.app.natural import NaturalOptions
+    from binocal.app.stream import StreamOptions
+    from binocal.app.without_board import check, check_stream, recalibrate
     from binocal.boards import Board, load_board
     from binocal.calibrators import CalibrationRequest, calibrate
     from binocal.cameras import Camera, StereoRig
@@ -45,6 +48,9 @@ if TYPE_CHECKING:
 
 # Where each public name lives; it is imported when first asked for, so that `import binocal` stays light.
 _NAMES_IN = {
+    "binocal.app.natural": ("NaturalOptions",),
+    "binocal.app.stream": ("StreamOptions",),
+    "binocal.app.without_board": ("check", "check_stream", "recalibrate"),
     "binocal.datasets": ("open_dataset",),
     "binocal.boards": ("Board", "load_board"),
     "binocal.calibrators": ("CalibrationRequest", "calibrate"),
@@ -101,6 +107,7 @@ __all__ = [
     "FormatError",
     "InconsistentViewsError",
     "MissingExtraError",
+    "NaturalOptions",
     "NotConvergedError",
     "OutlierCorner",
     "OutputError",
@@ -113,11 +120,14 @@ __all__ = [
     "Severity",
     "StereoCalibration",
     "StereoRig",
+    "StreamOptions",
     "TooFewPointsError",
     "TooFewViewsError",
     "ViewResult",
     "__version__",
     "calibrate",
+    "check",
+    "check_stream",
     "detect",
     "detect_pairs",
     "load_board",
@@ -125,6 +135,7 @@ __all__ = [
     "read_calibration",
     "read_detections",
     "read_rig",
+    "recalibrate",
     "rectify",
     "set_threads",
     "write_calibration",

@@ -481,9 +481,24 @@ _KINDS = (
         "use the images as published, not resized or cropped, with their own calibration", DataError,
     ),
     FindingKind(
+        "dataset-frame-unknown", _R, "A data set has no pair of that name",
+        "{path}: no pair is called {frame}, nor does a name begin so; there are {names}; {remedy}.",
+        "give the name of a pair, or how it begins", DataError,
+    ),
+    FindingKind(
         "dataset-has-several-rigs", _R, "The pairs of a data set are of several rigs",
         "the {n_pairs} pairs of {path} are of {n_rigs} different rigs; {remedy}.",
         "name a part with one calibration, or take the parts of Dataset.by_rig() one by one", DataError,
+    ),
+    FindingKind(
+        "known-length-not-found", _R, "An end of a known length is not found in the right image",
+        "the {end} end ({x_px:g}, {y_px:g}) of the known length in pair {pair} is not found in the right image: {why}; {remedy}.",
+        "point at ends with texture around them, such as corners of something flat, that both cameras see", DataError,
+    ),
+    FindingKind(
+        "known-length-tells-too-little", _R, "The known lengths hardly tell the rig's own",
+        "by the known lengths the cameras stand {baseline_m:.3g} ± {sigma_m:.2g} m apart, which is no measurement; {remedy}.",
+        "give a length that is nearer, longer in the image, or lies across the view", DataError,
     ),
     # --- a result with a weakness
     FindingKind(
@@ -511,7 +526,8 @@ _KINDS = (
     FindingKind(
         "cameras-exchanged", _W, "The camera called right stands to the left",
         "left and right look exchanged: seen from either camera, the one called right stands to the left (T.x > 0); {remedy}.",
-        "the calibration holds for the names as given, exchange --left and --right for the usual order",
+        "the calibration holds for the images as given; exchange --left and --right for the usual order, or, where both cameras "
+        "mirror their images, turn that off",
     ),
     FindingKind(
         "corner-orders-repaired", _W, "Most views had their corner order repaired",
@@ -640,6 +656,18 @@ _KINDS = (
     FindingKind(
         "model-choice-weak", _W, "Too few views to choose the camera model by held-out error",
         "camera model: {reason}.", "",
+    ),
+    FindingKind(
+        "dataset-rigs-left-out", _W, "Pairs of other calibrations of a data set were left out",
+        "{n_out} of {n_pairs} pairs are of {n_rigs} other calibrations and were left out ({names}); used is the calibration of {used}, "
+        "{why}; {remedy}.",
+        "choose another one with --rig-of FRAME",
+    ),
+    FindingKind(
+        "known-lengths-disagree", _W, "Known lengths of the scene contradict one another",
+        "known lengths contradict each other: by {first} the cameras stand {first_m:.5g} m apart, by {second} {second_m:.5g} m "
+        "({sigmas:.1f} standard deviations); {remedy}.",
+        "measure them again, and look whether the ends are where they were pointed at",
     ),
     FindingKind(
         "dataset-frames-left-out", _W, "Some images of a data set have no partner and were left out",

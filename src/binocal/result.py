@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -216,6 +217,18 @@ class StereoCalibration:
         codes = [f"{found.code} ({found.severity.value})" for found in self.findings]
         lines.append("findings: " + (", ".join(codes) if codes else "none") + ">")
         return "\n  ".join(lines)
+
+    @property
+    def plot(self) -> Any:
+        """Figures on Matplotlib's axes: ``plot.coverage()``, ``.residuals()``, ``.rig()``, ``.depth()``; the extra ``report`` draws them.
+
+        See :class:`binocal.report.notebook.CalibrationPlots`, which is loaded from above when asked for: a result knows no figures.
+        """
+        return importlib.import_module("binocal.report.notebook").CalibrationPlots(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the verdict, key figures, the rig and its depth error."""
+        return importlib.import_module("binocal.report.notebook").calibration_html(self)
 
     @property
     def warnings(self) -> tuple[str, ...]:

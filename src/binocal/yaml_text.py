@@ -20,14 +20,24 @@ def parse_yaml(text: str, tagged_mappings: Mapping[str, Constructor] | None = No
     """
     import yaml
     from yaml.composer import ComposerError
+    from yaml.constructor import ConstructorError
 
     class Loader(yaml.SafeLoader):
-        """SafeLoader without aliases."""
+        """SafeLoader without aliases and without keys that stand twice, of which it would take the last in silence."""
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
                 raise ComposerError(None, None, "it holds an alias (*name)", self.peek_event().start_mark)
             return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            seen = set()
+            for key, _ in node.value:
+                if isinstance(key, yaml.ScalarNode):
+                    if key.value in seen:
+                        raise ConstructorError(None, None, f"it holds {key.value[:40]!r} twice", key.start_mark)
+                    seen.add(key.value)
+            return super().construct_mapping(node, deep)
 
     # whole numbers are decimal: 0x14, 010 or 1:30 would be other numbers than a reader sees
     Loader.yaml_implicit_resolvers = {
@@ -46,9 +56,16 @@ def parse_yaml(text: str, tagged_mappings: Mapping[str, Constructor] | None = No
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except yaml.YAMLError as error:
-        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+        raise ValueError(_sentence(error)) from None
     except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError):
         # what PyYAML's conversions let pass: their words are about Python, not about the file
         raise ValueError(
             "a number, date or other tagged value in it is ill-formed, or has thousands of digits"
         ) from None
+
+
+def _sentence(error: Exception) -> str:
+    """What is wrong, and where: PyYAML's own text names a "unicode string" for the file and draws the line below it."""
+    problem, mark = getattr(error, "problem", None), getattr(error, "problem_mark", None)
+    words = " ".join(str(problem or error).split())[:200] or type(error).__name__
+    return words if mark is None else f"{words}, in line {mark.line + 1}, column {mark.column + 1}"

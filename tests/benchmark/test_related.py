@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from binocal.benchmark import related, related_cases
-from binocal.benchmark.related import Case, method, run_case
+from binocal.experiments.case import Case, by_calibrator
+from binocal.experiments.run import rows_of, run_cases
+
+
+def rows_of_case(case, seeds):
+    return [row.document() for row in rows_of([case], seeds, run_cases([case], seeds))]
 
 
 def test_a_row_is_the_median_over_the_seeds_with_the_refused_ones_counted():
@@ -18,8 +23,8 @@ def test_a_row_is_the_median_over_the_seeds_with_the_refused_ones_counted():
     def make(seed):
         return few if seed == 1 else related_cases.board_corners(seed)
 
-    methods = (method("lm"), method("absolute-orientation", refine=True))
-    rows = run_case(Case("boards", make, related_cases.rig_errors, methods, {"rotation error": "1"}), (0, 1, 2))
+    methods = (by_calibrator("lm"), by_calibrator("absolute-orientation", refine=True))
+    rows = rows_of_case(Case("boards", make, related_cases.rig_errors, methods, {"rotation error": "1"}), (0, 1, 2))
     assert [row["calibrator"] for row in rows[::5]] == ["lm", "absolute-orientation (refine True)"]
     for row in rows:
         assert row["seeds"] == 3 and row["failures"] == 1 and row["low"] <= row["median"] <= row["high"]
@@ -33,16 +38,16 @@ def test_a_row_is_the_median_over_the_seeds_with_the_refused_ones_counted():
 def test_a_method_that_is_always_refused_has_a_row():
     sample = related_cases.board_corners(0)
     few = related_cases.Sample(sample.evidence.select(np.arange(2)), sample.truth, choices=sample.choices)
-    case = Case("two views", lambda seed: few, related_cases.rig_errors, (method("lm"),))
-    (row,) = run_case(case, (0, 1))
+    case = Case("two views", lambda seed: few, related_cases.rig_errors, (by_calibrator("lm"),))
+    (row,) = rows_of_case(case, (0, 1))
     assert row["failures"] == row["seeds"] == 2 and row["median"] is None
     assert "lm" in related._text([row], "m") and "refused with every seed" in related._text([row], "m")
 
 
 def test_turning_cameras_are_measured_pair_by_pair():
     make = related_cases.turning(3, 1.0, is_always_another=False, pivot_m=0.0)
-    (case,) = (Case("turning", make, related_cases.turning_errors, (method("rectangles"),), related.WANG_2019),)
-    rows = {row["criterion"]: row for row in run_case(case, (0,))}
+    (case,) = (Case("turning", make, related_cases.turning_errors, (by_calibrator("rectangles"),), related.WANG_2019),)
+    rows = {row["criterion"]: row for row in rows_of_case(case, (0,))}
     # half of what the cited work reports
     assert rows["attitude, rms"]["median"] < 0.06 and rows["attitude, rms"]["paper"] == "0.12"
     assert rows["translation, rms"]["median"] < 3.6 and rows["coordinates, rms"]["median"] < 0.8

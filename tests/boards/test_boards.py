@@ -160,7 +160,10 @@ KALIBR = "target_type: checkerboard\ntargetCols: {}\ntargetRows: 6\nrowSpacingMe
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (KALIBR.format("6.9", "0.03", "0.03"), "targetCols must be a whole number; got '6.9'"),
+        (KALIBR.format("6.9", "0.03", "0.03"), "targetCols must be a whole number; got 6.9"),
+        (KALIBR.format("'6'", "0.03", "0.03"), "targetCols must be a whole number; got the text '6'"),
+        ("target_type: spiral", "'spiral' is not aprilgrid"),
+        (KALIBR.format("6\ntargetCols: 8", "0.03", "0.03"), "it holds 'targetCols' twice, in line 3, column 1$"),
         (KALIBR.format(".inf", "0.03", "0.03"), "targetCols must be a whole number"),
         (KALIBR.format("true", "0.03", "0.03"), "targetCols must be a whole number"),
         (KALIBR.format("9", ".inf", ".inf"), "colSpacingMeters must be a positive number"),
@@ -186,7 +189,7 @@ def test_a_board_file_whose_aliases_have_no_end_is_refused_at_once(tmp_path):
     path = tmp_path / "bomb.yaml"
     rows = ["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 40)]
     path.write_text("\n".join([*rows, "board: *a39"]))
-    with pytest.raises(FormatError, match="alias"):
+    with pytest.raises(FormatError, match=r"it holds an alias \(\*name\), in line 2, column 10$"):
         load_board(str(path))
 
 

@@ -86,6 +86,15 @@ def test_causes_are_told_apart(calibration):
     assert found.shift[place] == pytest.approx(1e-3, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.03, "3 % longer, or the board smaller"), (0.97, "3 % shorter, or the board larger")]
+)
+def test_a_board_of_another_size_is_named_beside_the_baseline(calibration, factor, words):
+    seen = seen_by(RIG, 6, 7)
+    found = compared(calibration, replace(seen, object_points_m=factor * seen.object_points_m))
+    assert found.cause.code == "shifted" and f"{words} than its SPEC says" in found.finding.text
+
+
 def test_outliers_do_not_make_a_change(calibration):
     assert compared(calibration, seen_by(RIG, 10, 7, outlier_share=0.05)).agrees
 

@@ -51,6 +51,25 @@ def test_numbers_of_threads_are_bounded(value, capsys):
         set_threads(int(value))
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--noise", "nan", "'nan' is not a finite number"),
+        ("--blur", "-inf", "'-inf' is not a finite number"),
+        ("--noise", "1e400", "'1e400' is not a finite number"),
+        ("--noise", "two", "'two' is not a finite number"),
+        ("--noise", "-1", "'-1' is below 0"),
+        ("--blur", "250.5", "'250.5' is above 100"),
+        ("--pairs", "2.5", "'2.5' is not a whole number"),
+        ("--seed", "9" * 6000, "9' is not a whole number"),
+    ],
+)
+def test_a_wrong_number_is_answered_with_what_was_typed(option, value, said, capsys):
+    assert main(["simulate", "--board", "chessboard:4x3:30mm", "--pairs", "2", "--output", "never", option, value]) == 2
+    line = capsys.readouterr().err
+    assert said in line and f"'{option}'" in line and line.count("\n") == 1 and len(line) < 250
+
+
 def test_pairs_are_bounded(capsys):
     assert main(["simulate", "--board", "chessboard:4x3:30mm", "--pairs", "9" * 20, "--output", "never"]) == 2
     assert not os.path.exists("never")
@@ -90,6 +109,11 @@ def test_patterns_that_the_shell_expanded_are_named(tmp_path, capsys):
     expanded = [given[0], *sorted(str(path) for path in tmp_path.glob("left_*")), *given[2:]]
     assert main(["calibrate", *expanded, "--output", str(tmp_path / "rig.json")]) == 2
     assert "put patterns in quotes: --left 'left_*.png'" in capsys.readouterr().err
+    (tmp_path / "of a rig.png").touch()
+    many = [str(tmp_path / "of a rig.png"), *(f"left_{k:04}.png" for k in range(400))]
+    assert main(["calibrate", *given, *many]) == 2
+    line = capsys.readouterr().err
+    assert "of a rig.png' and others; put patterns in quotes" in line and len(line) < 300
     assert main(["calibrate", *given, "no-such-file", "--output", str(tmp_path / "rig.json")]) == 2
     assert "quotes" not in capsys.readouterr().err
 
@@ -101,7 +125,7 @@ def test_patterns_that_the_shell_expanded_are_named(tmp_path, capsys):
         (f"targetCols: {'9' * 6000}", "thousands of digits"),
         (
             "{target_type: checkerboard, targetCols: 9, targetRows: 6, colSpacingMeters: 0x14, rowSpacingMeters: 0x14}",
-            "colSpacingMeters must be a positive number; got '0x14'",
+            "colSpacingMeters must be a positive number; got the text '0x14'",
         ),
     ],
 )

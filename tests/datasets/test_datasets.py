@@ -85,6 +85,29 @@ def test_several_rigs_are_not_pooled(tmp_path):
     assert [len(part) for part in dataset.by_rig()] == [2, 1]
 
 
+def test_one_of_several_rigs_is_chosen_and_the_others_are_said(tmp_path):
+    """Three cities of two pairs: two with the same calibration, one with another."""
+    dataset = open_dataset(f"cityscapes:{trees.cityscapes(tmp_path)}")
+    most = dataset.of_one_rig()
+    assert len(most) == 4 and most.rig.baseline_m == pytest.approx(0.2)
+    (said,) = most.findings
+    assert said.code == "dataset-rigs-left-out" and "2 of 6 pairs are of 1 other" in said.text
+    assert "lindau_000000_000019" in said.text and "most pairs" in said.text
+    for choice in ({"frame": "lindau"}, {"frame": "lindau_000001_000019"}):
+        other = dataset.of_one_rig(**choice)
+        assert len(other) == 2 and other.rig.baseline_m == pytest.approx(0.3)
+        assert "4 of 6 pairs" in other.findings[0].text and choice["frame"] in other.findings[0].text
+    assert not open_dataset(f"cityscapes:{tmp_path}:val").of_one_rig().findings
+    with pytest.raises(DataError, match="no pair is called berlin") as caught:
+        dataset.of_one_rig(frame="berlin")
+    assert caught.value.findings[0].code == "dataset-frame-unknown"
+    object_set = open_dataset(f"kitti:{trees.kitti_listed(tmp_path / 'object', 'object')}")
+    rigs = {rig.left.K[0, 0]: rig for rig in object_set.rigs}
+    for focal_px, n_pairs in ((50.0, 2), (51.0, 1)):
+        part = object_set.of_one_rig(like=rigs[focal_px])
+        assert len(part) == n_pairs and part.rig is rigs[focal_px] and "cameras are" in part.findings[0].text
+
+
 def test_cityscapes(tmp_path):
     root = trees.cityscapes(tmp_path)
     whole = open_dataset(f"cityscapes:{root}")

@@ -142,3 +142,12 @@ def test_empty_places_say_what_is_there(make):
         list_pairs(str(folder / "void"), str(folder / "img*"))
     with pytest.raises(DataError, match=r"there is no nowhere in"):
         list_pairs(str(folder / "nowhere" / "left*"), str(folder / "img*"))
+
+
+def test_brackets_of_a_folder_that_exists_are_no_pattern(make):
+    """ "rig [2]" would match the folder "rig 2" only, and images of another rig, where that exists."""
+    make("rig [2]/left1.png", "rig [2]/right1.png", "rig 2/left7.png", "rig 2/right7.png")
+    folder = make("rig [2]/sub[a]/left3.png", "rig [2]/sub[a]/right3.png")
+    assert pairs_of(folder, "rig [2]/left*", "rig [2]/right*")[0] == [("1", "left1.png", "right1.png")]
+    assert pairs_of(folder, "rig [2]/sub[a]/left*", "rig [2]/sub[a]/right*")[0] == [("3", "left3.png", "right3.png")]
+    assert pairs_of(folder, "rig [0-9]/left*", "rig [0-9]/right*")[0] == [("7", "left7.png", "right7.png")]

@@ -106,6 +106,14 @@ def test_a_board_is_not_taken_for_another_because_it_cannot_be_read(folders, tmp
     assert error.findings[0].code == "board-not-found" and "did you mean" not in str(error)
 
 
+@pytest.mark.parametrize("spec", ["charuco:8x6:30mm:22mm:DICT_5X5_50", "aprilgrid:5x4:30mm:0.3"])
+def test_mirrored_images_of_the_board_are_said_to_be_mirrored(folders, tmp_path, spec):
+    """They blamed the SPEC, the light and the focus."""
+    for path in folders(spec).iterdir():
+        cv2.imwrite(str(tmp_path / path.name), cv2.imread(str(path), 0)[:, ::-1])
+    assert re.search(r"show the board mirrored \(.*as the cameras took them", str(refusal_of(tmp_path, spec)))
+
+
 @pytest.mark.parametrize(("marker", "distance"), [("22mm:DICT_5X5_50", 5.5), ("15mm:DICT_6X6_250", 4.5)])
 def test_markers_too_small_to_be_read_are_named_with_their_size(folders, marker, distance):
     spec = f"charuco:11x8:30mm:{marker}"

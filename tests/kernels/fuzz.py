@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from binocal import kernels
-from binocal.kernels import _kernel, corner_fits, image_lens, images, rectified_maps
+from binocal.kernels import _kernel, corner_fits, image_lens, images, library_words, rectified_maps, template_match
 
 ROUNDS = int(os.environ.get("BINOCAL_FUZZ_ROUNDS", "300"))
 SEED = int(os.environ.get("BINOCAL_FUZZ_SEED", "0"))
@@ -259,22 +259,63 @@ def rectified_map(f: Fuzz) -> None:
     )  # fmt: skip
 
 
+def reduce_stereo(f: Fuzz) -> None:
+    views, sizes = f.size(4), 7 + f.rng.integers(0, 6, 2)
+    with np.errstate(all="ignore"):
+        roots = [f.floats(views, 2 * q, q) for q in sizes]
+        sides = tuple(J.swapaxes(-1, -2) @ J for J in roots)
+    deviation = f.floats(views, 6, 6) if f.rng.random() < 0.5 else None
+    prior = (None, None) if deviation is None else (np.abs(f.floats(6)), f.floats(views, 6))
+    steps = kernels.PoseSteps(f.floats(views, 6, 6), f.floats(views, 6, 6), deviation, *prior)
+    points = None
+    if f.rng.random() < 0.5:
+        n = f.size(9)
+        points = tuple(kernels.PointEquations(f.floats(views, q, 3, n), f.floats(views, 6, n)) for q in sizes)
+    kernels.reduce_stereo(sides, steps, points, 1 + abs(float(f.rng.normal())), of_views=bool(f.rng.random() < 0.5))
+
+
+def solve_definite(f: Fuzz) -> None:
+    n = f.size(9)
+    J = f.floats(n + 2, n)
+    with np.errstate(all="ignore"):
+        kernels.solve_definite(J.T @ J, f.floats(f.size(40), n))
+
+
+def caught_words(f: Fuzz) -> None:
+    with library_words.caught_words() as outer, library_words.caught_words():
+        pass
+    assert not outer
+
+
+def match_templates(f: Fuzz) -> None:
+    n, images_ = f.size(20), (f.image((np.float32,)), f.image((np.float32,)))
+    start = None if f.rng.random() < 0.5 else np.eye(2) + f.floats(n, 2, 2, scale=0.3)
+    places = [np.abs(f.places(n)) if f.rng.random() < 0.7 else f.places(n) for _ in range(2)]
+    shares = f.floats(2, scale=0.5)
+    template_match.match_templates(
+        *images_, *places, start, half=int(f.rng.integers(0, 17)), max_iterations=f.size(15), tolerance_px=float(shares[0]),
+        sigma_share=float(shares[-1]),
+    )  # fmt: skip
+
+
 FUNCTIONS = [
     accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
     compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
     follow_edges, link_corners, grow_groups, fit_corners, fit_image_lens, pool_corners, rectified_map,
+    reduce_stereo, solve_definite, caught_words, match_templates,
 ]  # fmt: skip
 
 
 def test_every_function_of_the_extension_is_fuzzed():
     called = {name for function in FUNCTIONS for name in (function.__name__,)}
     other_names = {"robust_costs": "costs", "median_lengths2": "medians", "reduced_information": "solve_steps"}
+    other_names["caught_words"] = "begin_catching_words"
     exported = {
         name
         for name in dir(_kernel)
         if callable(function := getattr(_kernel, name)) and not isinstance(function, type) and not name.startswith("_")
     }
-    assert exported == {other_names.get(name, name) for name in called}
+    assert exported - {"end_catching_words"} == {other_names.get(name, name) for name in called}
 
 
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)

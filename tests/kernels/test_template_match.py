@@ -75,6 +75,37 @@ def test_what_cannot_be_matched_is_not():
     assert not (found.is_converged & (found.likeness > 0.9)).any()
 
 
+@pytest.mark.parametrize("size", [(0, 0), (1, 5), (7, 8), (8, 8), (9, 40), (40, 41)])
+def test_places_that_no_integer_holds_match_nothing(size):
+    """NaN became the least of all integers, and three below that the greatest: memory far beyond the image was read."""
+    image = np.random.default_rng(0).normal(128, 30, size).astype(np.float32)
+    odd = [
+        np.nan,
+        np.inf,
+        -np.inf,
+        1e300,
+        -1e300,
+        2.0**63,
+        -(2.0**63),
+        9.3e18,
+        2.0**31,
+        -1.0,
+        0.0,
+        2.999,
+        size[0] - 4.999,
+    ]
+    x, y = (values.ravel() for values in np.meshgrid([*odd, 20.0], [*odd, 20.0]))
+    places = np.column_stack([x, y])
+    inside = np.full_like(places, 20.0)
+    for start, goal in ((places, inside), (inside, places)):
+        found = match_templates(image, image, start, goal, half=2)
+        is_same = found.is_converged & (np.abs(found.points_px - start) < 1).all(axis=1)
+        assert is_same.sum() == (found.likeness > 0.999).sum() == (1 if min(size) == 40 else 0)
+    warp = np.full((len(odd), 2, 2), np.array(odd)[:, None, None])
+    found = match_templates(image, image, inside[: len(odd)], inside[: len(odd)], warp, half=2)
+    assert not found.is_converged.any()
+
+
 def test_wrong_arrays_are_refused():
     first, second = images(np.eye(2), [0.0, 0.0])
     with pytest.raises(ValueError, match="2 to 15"):

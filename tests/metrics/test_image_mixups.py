@@ -17,6 +17,8 @@ from binocal.metrics.image_mixups import find_mixup
 from binocal.metrics.order import order_corners
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
+pytestmark = pytest.mark.usefixtures("many_calls")
+
 BOARD = parse_board("chessboard:9x6:30mm")
 RIG = table2_rig()
 LAST = np.array(RIG.left.size_wh) - 1.0
@@ -49,6 +51,13 @@ MIXED_UP = {
     "are off by one image (left 0 belongs to right 1)": replace(SEEN, right_px=np.roll(SEEN.right_px, 1, axis=0)),
 }
 
+MIXED_UP |= {
+    f"the board is {1 / factor:.3g} times as large as stated": replace(
+        SEEN, object_points_m=factor * SEEN.object_points_m
+    )
+    for factor in (10.0,)
+}
+
 
 @pytest.mark.parametrize("how", MIXED_UP)
 def test_images_that_fit_otherwise_are_refused_by_what_was_done(how, monkeypatch):
@@ -68,3 +77,6 @@ def test_right_images_and_another_rig_are_no_mixup():
     one = SEEN.select(np.array([0]))
     one = replace(one, left_px=one.right_px, right_px=one.left_px)
     assert find_mixup(RIG, one, order_corners(RIG, one)) is None  # may be by chance
+    # whatever far boards nearly fit: a large one, of another rig, is no mirrored one
+    large = replace(SEEN, object_points_m=30 * SEEN.object_points_m)
+    assert find_mixup(turned, large, order_corners(turned, large)) is None

@@ -19,6 +19,7 @@ from binocal.validation import (
     measure_lens_adequacy,
     measure_whiteness,
     overview,
+    smooth_residuals,
     validate,
 )
 from binocal.validation.halves import projection_difference_px
@@ -181,3 +182,19 @@ def test_without_corners_nothing_is_checked(sound):
     bare = replace(sound, evidence=None)
     assert validate(bare).findings == ()
     assert [line.name for line in overview(bare, validate(bare))][:2] == ["Views", "Fit"]
+
+
+def test_residuals_are_averaged_over_the_image():
+    rng = np.random.default_rng(0)
+    px = rng.uniform((0, 0), (639, 479), (40, 50, 2))
+    field = np.stack([px[..., 0] / 640 - 0.5, 0 * px[..., 0]], axis=-1)  # outwards to left and right
+    noisy = field + rng.normal(0, 0.3, px.shape)
+    noisy[0, :10] = np.nan
+    noisy[px[..., 1] > 300] = np.nan
+    smoothed = smooth_residuals(px, noisy, (640, 480))
+    known = np.isfinite(smoothed.sigma_px)
+    assert known.any() and not known[smoothed.px[..., 1] > 420].any()
+    off = smoothed.mean_px[known] - np.stack([smoothed.px[known][:, 0] / 640 - 0.5, np.zeros(known.sum())], axis=-1)
+    inner = (smoothed.px[known][:, 0] > 80) & (smoothed.px[known][:, 0] < 560)
+    assert 0.5 < np.sqrt(np.mean((off[inner] / smoothed.sigma_px[known][inner, None]) ** 2)) < 1.3
+    assert np.isnan(smooth_residuals(px, np.full(px.shape, np.nan), (640, 480)).mean_px).all()

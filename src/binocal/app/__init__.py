@@ -1,4 +1,4 @@
-"""The product's verbs: calibrate, simulate, evaluate, demo, train. The one list that every shell shares.
+"""The product's verbs: calibrate, simulate, evaluate, demo, experiment, train. The one list that every shell shares.
 
 Each verb takes plain values, returns one, and neither prints nor reads the environment. Progress goes out through
 ``progress(stage, done, total)``; a run is cancelled by ``should_stop()`` returning True.
@@ -10,6 +10,7 @@ from binocal.app.calibrate import CalibrationRun, calibrate_corners, calibrate_i
 from binocal.app.channels import ChannelRow, ChannelStudy, study_channels
 from binocal.app.demo import DemoCase, demo
 from binocal.app.evaluate import ImageEvaluation, TruthEvaluation, evaluate_images, evaluate_truth
+from binocal.app.experiment import ExperimentRun, check_experiment_folder, experiment
 from binocal.app.simulate import SimulateOptions, simulate, simulate_scene
 from binocal.app.simulate_turning import simulate_turning_cameras
 from binocal.app.train import TrainedAgent, TrainRequest, board_of_folder, train
@@ -22,6 +23,7 @@ __all__ = [
     "ChannelRow",
     "ChannelStudy",
     "DemoCase",
+    "ExperimentRun",
     "ImageEvaluation",
     "SimulateOptions",
     "TrainRequest",
@@ -31,9 +33,11 @@ __all__ = [
     "calibrate_corners",
     "calibrate_images",
     "calibrate_zoom_images",
+    "check_experiment_folder",
     "demo",
     "evaluate_images",
     "evaluate_truth",
+    "experiment",
     "simulate",
     "simulate_scene",
     "simulate_turning_cameras",

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from binocal.app.corners import explained, find_corners
-from binocal.boards import Board
+from binocal.app.measured import checked_board, scale_as_measured
+from binocal.boards import Board, parse_board
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.errors import DataError
 from binocal.evidence import Detections
@@ -71,21 +72,26 @@ def calibrate_images(
     preprocess: bool = False,
     channel: str = "grey",
     measured_board: BoardShape | None = None,
+    measured_m: tuple[float, float] | None = None,
 ) -> CalibrationRun:
     """Calibrate from the images that two globs or folders name; ``preprocess`` strengthens their edges first.
 
     ``channel`` is that of colour images whose corners are measured: grey, red, green or blue.
 
     With ``measured_board``, the shape that an earlier calibration found of this very board, its points take the drawing's place.
+    ``measured_m`` are the board's two distances by the ruler (:mod:`binocal.boards.measured`), metres.
 
     Raises:
-        DataError: The images cannot be used, or the measured board is another one.
+        DataError: The images cannot be used, the measured board is another one, or a distance is far from what the board has.
         CalibrationError: No trustworthy rig follows from them.
         CancelledError: ``request.should_stop`` returned True.
     """
     from binocal.images.preprocessing import Preparation
 
     request = request or CalibrationRequest()
+    as_drawn = board
+    if measured_m is not None:
+        board, _ = checked_board(board, measured_m)
     started = time.perf_counter()
     preparation = Preparation(channel, preprocess)
     with ThreadPoolExecutor(1) as aside:
@@ -98,6 +104,9 @@ def calibrate_images(
     detections = replace(found.detections, board_spec=rig_json.format_board(board))
     if measured_board is not None:
         detections = _on_measured_board(detections, measured_board)
+    measured: dict[str, Any] = {}
+    if measured_m is not None:
+        detections, measured = scale_as_measured(detections, as_drawn, measured_m)
     detected = time.perf_counter()
     inputs = {
         "opencv": _opencv_version(),
@@ -105,6 +114,7 @@ def calibrate_images(
         "preprocess": preprocess,
         "channel": channel,
         "input_sha256": dict(found.input_sha256),
+        **measured,
     }
     with explained(found.ignored, found.rejected, found.notes):
         calibration = calibrate(detections, request, calibrator=calibrator, inputs=inputs)
@@ -117,13 +127,19 @@ def calibrate_images(
 
 
 def calibrate_corners(
-    path: str | Path, request: CalibrationRequest | None = None, *, calibrator: str = "drl"
+    path: str | Path,
+    request: CalibrationRequest | None = None,
+    *,
+    calibrator: str = "drl",
+    measured_m: tuple[float, float] | None = None,
 ) -> CalibrationRun:
     """Calibrate from a file of corners: detections, as ``--evidence`` writes them, or rectangles that turning cameras saw.
 
+    ``measured_m`` are the board's two distances by the ruler, metres; they take the place of those that the file was written with.
+
     Raises:
         FormatError: The file is missing, damaged or foreign.
-        DataError: It holds another kind of evidence than the calibrator works from.
+        DataError: It holds another kind of evidence than the calibrator works from, or a distance is far from what the board has.
         CalibrationError: No trustworthy rig follows from it.
     """
     from binocal.calibrators import calibrate_as_requested
@@ -139,8 +155,13 @@ def calibrate_corners(
     evidence: Any = read_detections(path) if is_board else read_rectangles(path)
     if not is_board and kind != "rectangles":
         raise DataError(f"{path} holds rectangles of turning cameras; calibrator {calibrator!r} works from a {kind}.")
+    measured: dict[str, Any] = {}
+    if measured_m is not None:
+        if not is_board or evidence.board_spec is None:
+            raise DataError(f"{path} does not say which board its corners are of: --measured needs the board's SPEC.")
+        evidence, measured = scale_as_measured(evidence, parse_board(evidence.board_spec), measured_m)
     loaded = time.perf_counter()
-    inputs = {"input_sha256": {"corners": hashlib.sha256(Path(path).read_bytes()).hexdigest()}}
+    inputs = {"input_sha256": {"corners": hashlib.sha256(Path(path).read_bytes()).hexdigest()}, **measured}
     calibration = calibrate_as_requested(
         evidence, request or CalibrationRequest(), calibrator=calibrator, inputs=inputs
     )

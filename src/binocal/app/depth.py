@@ -144,7 +144,7 @@ def measure_depth(
     with staged_folder(output, force=force, last=(DOCUMENT,)) as folder:
         maps = RectificationMaps.of(rig, rectification)
         for name, images in zip(names, rectified_pairs(rig, maps, pairing.pairs, progress), strict=True):
-            depth = _depth_of(name, images, (rectification, maps), distances, lattice, options)
+            depth = depth_images(name, images, (rectification, maps), distances, lattice, options)
             _write(folder, images, rectification, depth, options)
             found.append(depth.summary)
         run = DepthRun(rectification, distances, search, tuple(found), lattice is not None, pairing.ignored)
@@ -186,7 +186,7 @@ def _lattice(
     return depth_sigma_lattice(calibration.rig, covariance, rectification, distances.near, far)
 
 
-def _depth_of(
+def depth_images(
     name: str,
     images: tuple[ndarray, ndarray],
     rectified: tuple[Rectification, RectificationMaps],
@@ -194,6 +194,7 @@ def _depth_of(
     lattice: DepthSigmaLattice | None,
     options: DepthOptions,
 ) -> DepthImages:
+    """Depth of one rectified pair. ``lattice`` holds what the calibration leaves uncertain; None where that is not known."""
     rectification, maps = rectified
     grey = [to_8_bit(to_grey(image)) for image in images]
     disparity = match_rectified(rectification, grey[0], grey[1], distances, options.matcher)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.app.corners import FoundCorners, find_corners
+from binocal.app.measured import checked_board, scale_as_measured
 from binocal.boards import Board
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
@@ -110,6 +111,7 @@ def evaluate_images(
     board: Board,
     *,
     calibration: StereoCalibration | None = None,
+    measured_m: tuple[float, float] | None = None,
     progress: ProgressCallback | None = None,
     should_stop: ShouldStop | None = None,
 ) -> ImageEvaluation:
@@ -117,17 +119,24 @@ def evaluate_images(
 
     Few views (a fifth) whose two images are not of one moment, as each camera alone fits them, are left out by name, as a
     calibration leaves them out.
+    ``measured_m`` are the board's two distances by the ruler (:mod:`binocal.boards.measured`), metres.
     With the ``calibration`` that the rig is of, also whether the images agree with it as far as its standard deviations allow.
 
     Raises:
         DataError: The images cannot be used, their size is not the rig's, the board lacks the length it needs, or they fit the rig
             only exchanged, mirrored, upside down or paired otherwise.
     """
+    as_drawn = board
+    if measured_m is not None:
+        board, _ = checked_board(board, measured_m)
     if rig.is_metric and not board.is_metric:
         raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
     found = find_corners(left, right, board, None, progress, should_stop)
     notes = list(found.notes)
     detections, side_m = found.detections, _side_m(board)
+    if measured_m is not None:
+        detections, said = scale_as_measured(detections, as_drawn, measured_m)
+        side_m *= float(np.sqrt(said["measured"]["scale_x"] * said["measured"]["scale_y"]))
     for side, camera, size_wh in (
         ("left", rig.left, detections.left_size_wh),
         ("right", rig.right, detections.right_size_wh),

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from binocal.app.known_lengths import KnownLength, measure_known_lengths, pair_called
 from binocal.app.natural_drift import (
     AGAINST_RIG,
     Drift,
@@ -18,10 +19,11 @@ from binocal.app.natural_drift import (
     made_by_recalibrate,
     reference_document,
 )
+from binocal.app.pair_choice import choose_pairs
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.cameras import Camera, StereoRig
-from binocal.datasets import StereoPair, open_dataset
+from binocal.datasets import Dataset, StereoPair, open_dataset
 from binocal.datasets.folder import list_pairs
 from binocal.datasets.frames import name_some
 from binocal.errors import DataError
@@ -37,9 +39,7 @@ from binocal.solvers.epipolar import EpipolarProblem
 from binocal.solvers.relative_pose import RelativePose
 from binocal.solvers.robust import TUKEY_END
 
-MAX_PAIRS = (
-    8  # used, of twice as many looked at; the random part of the error is below that of the intrinsics after four
-)
+MAX_PAIRS = 8  # the random part of the error is below that of the intrinsics after four
 LEAST_BASELINE_M, MOST_BASELINE_M = 1e-3, 100.0  # between a rig of tiny cameras and one on a ship
 REFERENCE = "reference"
 """Where a rig file holds its own result of ``recalibrate``."""
@@ -84,6 +84,8 @@ class NaturalOptions:
     should_stop: ShouldStop | None = None
     calibrator: str = "drl"
     """See :func:`binocal.calibrators.natural_solves.solves_of`."""
+    known_lengths: tuple[KnownLength, ...] = ()
+    """Of the scene: they give the translation its length, in place of ``baseline_m`` and the old rig's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,12 +132,13 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     if not source.pairs:
         raise DataError("no pairs of images.")
     _refuse_no_baseline(source.rig)
+    for known in options.known_lengths:
+        pair_called(known.pair, source.pairs)  # refused before anything is computed
     cameras = source.rig.left, source.rig.right
     started = time.perf_counter()
-    chosen = [source.pairs[i] for i in looked_at(len(source.pairs), options.max_pairs)]
-    matches, left_out = matches_of(chosen, cameras, options.progress, options.should_stop)
-    if matches.n_pairs > options.max_pairs:
-        matches = matches.of_pairs(most_telling(source.rig, matches, options.max_pairs))
+    near, listeners = source.rig.T_right_left, (options.progress, options.should_stop)
+    chosen = choose_pairs(source.pairs, cameras, near, options.max_pairs, *listeners)
+    matches, left_out = matches_of([source.pairs[i] for i in chosen], cameras, *listeners)
     matched = time.perf_counter()
     old = source.rig.T_right_left if options.from_old_rig else None
     length, sigma_m, said = options.baseline_m, 0.0, "--baseline"
@@ -156,6 +159,8 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         calibrator=options.calibrator,
     )
     calibration = calibrate_from_matches(matches, request)
+    if options.known_lengths:
+        calibration = measure_known_lengths(calibration, source.pairs, options.known_lengths)
     calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))
     right = _right_matches(cameras, calibration, matches)
     drift = drift_of(calibration, source.rig, source.covariance, source.reference, source.made)
@@ -183,35 +188,6 @@ def _baseline_sigma_m(source: NaturalSource) -> float:
     return float(np.sqrt(max(along @ source.covariance.block("translation") @ along, 0.0)))
 
 
-def looked_at(n_pairs: int, max_pairs: int) -> list[int]:
-    """Which pairs to match: twice as many as are wanted, evenly over the drive."""
-    return np.unique(np.linspace(0, n_pairs - 1, min(n_pairs, 2 * max_pairs)).round().astype(int)).tolist()
-
-
-def most_telling(rig: StereoRig, matches: PointMatches, n_wanted: int) -> list[int]:
-    """The pairs that together tell the pose best: each next one lowers the trace of its covariance most.
-
-    Greedy choice comes within 1 % of exchanging until nothing improves.
-    """
-    pose = RelativePose.of(rig.T_right_left)
-    informations = []
-    n_pairs = matches.n_pairs
-    for pair in range(n_pairs):
-        problem, _ = EpipolarProblem.of_matches((rig.left, rig.right), matches.of_pairs([pair]))
-        informations.append(problem.linearize(pose, np.asarray(1.0), "geman").information)
-    total = np.sum(informations, axis=0)
-    size = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
-    scaled = [A * size[:, None] * size for A in informations]
-    chosen: list[int] = []
-    known = 1e-6 * np.eye(5)
-    while len(chosen) < n_wanted:
-        rest = [i for i in range(n_pairs) if i not in chosen]
-        best = min(rest, key=lambda i: float(np.trace(np.linalg.inv(known + scaled[i]))))
-        chosen.append(best)
-        known = known + scaled[best]
-    return sorted(chosen)
-
-
 def _right_matches(
     cameras: tuple[Camera, Camera], calibration: StereoCalibration, matches: PointMatches
 ) -> PointMatches:
@@ -225,6 +201,13 @@ def with_reference(rig: StereoCalibration, run: NaturalRun) -> StereoCalibration
     return replace(rig, extra={**rig.extra, REFERENCE: reference_document(run.calibration)})
 
 
+def as_given(rig: StereoRig, length_from: str | None = None) -> StereoCalibration:
+    """A rig of which nothing more is known, but perhaps where its length is from: a foreign file's, a data set's."""
+    nothing = Covariance((), np.zeros((0, 0)))
+    provenance = {} if length_from is None else {"length_from": length_from}
+    return StereoCalibration(rig, nothing, ResidualSummary(np.nan, np.nan, np.nan), np.nan, (), provenance=provenance)
+
+
 def load_given_rig(path: Path) -> StereoCalibration:
     """A rig.json whole, or what any other file says of the rig.
 
@@ -233,18 +216,27 @@ def load_given_rig(path: Path) -> StereoCalibration:
     """
     if rig_json.holds_calibration(path):
         return rig_json.read_calibration(path)
-    rig = load_rig(path)
-    nothing = Covariance((), np.zeros((0, 0)))
-    return StereoCalibration(rig, nothing, ResidualSummary(np.nan, np.nan, np.nan), np.nan, ())
+    return as_given(load_rig(path))
 
 
-def source_of_dataset(text: str, given: StereoCalibration | None) -> NaturalSource:
-    """Pairs of a data set (``KIND:PATH``), with its own cameras unless a rig is given; of several rigs that of most pairs.
+def source_of_dataset(text: str, given: StereoCalibration | None, rig_of: str | None = None) -> NaturalSource:
+    """Pairs of a data set (``KIND:PATH``), with its own cameras unless a rig is given.
+
+    Of a data set with several calibrations that of the pair ``rig_of``, or the given rig's, or that of most pairs; see
+    :meth:`binocal.datasets.Dataset.of_one_rig`.
 
     Raises:
         DataError: Its layout is broken, or neither it nor a rig says what its cameras are.
     """
-    part = open_dataset(text).by_rig()[0]
+    return source_of_part(open_dataset(text).of_one_rig(frame=rig_of, like=None if given is None else given.rig), given)
+
+
+def source_of_part(part: Dataset, given: StereoCalibration | None) -> NaturalSource:
+    """The pairs of a data set that has one calibration, or a given one.
+
+    Raises:
+        DataError: Neither it nor a rig says what its cameras are.
+    """
     if given is not None:
         return _source_of(part.stereo_pairs, given, part.findings)
     if part.rig is None:

@@ -1,8 +1,11 @@
-"""Matches of pairs of image files, one pair in memory at a time; pairs that show nothing are named and left out."""
+"""Matches of pairs of image files, a pair a thread in memory at a time; pairs that show nothing are named and left out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from typing import TypeVar
 
 from binocal.calibrators.natural_checks import MIN_MATCHES, named
 from binocal.cameras import Camera
@@ -10,9 +13,13 @@ from binocal.datasets import StereoPair
 from binocal.errors import CancelledError, DataError
 from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding, finding, refusal
-from binocal.images.reading import read_grey_image
+from binocal.images.opencv_settings import single_threaded_opencv
+from binocal.images.reading import GreyImage, read_grey_image
 from binocal.matching.pairs import PairMatches, match_pair
 from binocal.progress import ProgressCallback, ShouldStop
+from binocal.threads import n_threads
+
+T = TypeVar("T")
 
 MIN_FEATURES = 2 * MIN_MATCHES  # of an image; half of them and more have no partner in the other
 MOST_SPREAD_RATIO = (
@@ -36,17 +43,13 @@ def matches_of(
     """
     found: list[PointMatches] = []
     unfit: list[tuple[str, Finding]] = []
-    for count, pair in enumerate(pairs):
-        if should_stop is not None and should_stop():
-            raise CancelledError("cancelled while matching.")
-        seen = match_files(pair, cameras)
+    seen_pairs = for_each_pair(lambda pair: match_files(pair, cameras), pairs, "pairs", progress, should_stop)
+    for pair, seen in zip(pairs, seen_pairs, strict=True):
         why = what_is_wrong(pair, seen)
         if why is None:
             found.append(seen.matches)
         else:
             unfit.append((pair.name, why))
-        if progress is not None:
-            progress("pairs", count + 1, len(pairs))
     if not found:
         raise refusal(unfit[0][1])
     if not unfit:
@@ -56,14 +59,51 @@ def matches_of(
     return PointMatches.joined(found), [left_out]
 
 
+def for_each_pair(
+    look: Callable[[StereoPair], T],
+    pairs: Sequence[StereoPair],
+    stage: str,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+) -> Iterator[T]:
+    """What a function says of each pair, in the pairs' order; in threads, each with the images of one pair in memory.
+
+    OpenCV's own threads are switched off meanwhile, but for a single pair.
+
+    Raises:
+        CancelledError: ``should_stop`` said so.
+    """
+    alone = len(pairs) == 1 or n_threads() == 1
+    with nullcontext() if alone else single_threaded_opencv(), ThreadPoolExecutor(n_threads()) as pool:
+        results = map(look, pairs) if alone else pool.map(look, pairs)
+        try:
+            for count in range(len(pairs)):
+                if should_stop is not None and should_stop():
+                    raise CancelledError(f"cancelled at pair {count + 1} of {len(pairs)}.")
+                yield next(results)
+                if progress is not None:
+                    progress(stage, count + 1, len(pairs))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
 def match_files(pair: StereoPair, cameras: tuple[Camera, Camera]) -> PairMatches:
     """The matches of a pair of files.
 
     Raises:
         DataError: An image cannot be read or is not of these cameras' size.
     """
+    return match_pair(*read_pair(pair, cameras), pair.name)
+
+
+def read_pair(pair: StereoPair, cameras: tuple[Camera, Camera]) -> tuple[GreyImage, GreyImage]:
+    """Both images of a pair of files.
+
+    Raises:
+        DataError: An image cannot be read or is not of these cameras' size.
+    """
     paths = pair.left_path, pair.right_path
-    images = [read_grey_image(path) for path in paths]
+    images = read_grey_image(paths[0]), read_grey_image(paths[1])
     for side, image, camera, path in zip(("left", "right"), images, cameras, paths, strict=True):
         size = image.shape[1], image.shape[0]
         if size != camera.size_wh:
@@ -71,7 +111,7 @@ def match_files(pair: StereoPair, cameras: tuple[Camera, Camera]) -> PairMatches
                 f"{path}: {size[0]}x{size[1]} pixels, the rig's {side} camera has {camera.size_wh[0]}x{camera.size_wh[1]}; "
                 "give images as this rig's cameras take them."
             )
-    return match_pair(images[0], images[1], pair.name)
+    return images
 
 
 def what_is_wrong(pair: StereoPair, seen: PairMatches) -> Finding | None:

@@ -105,6 +105,26 @@ def find_sets(wanted: Sequence[str] = ()) -> list[SetSource]:
     return found
 
 
+def sets_in(folder: Path) -> list[SetSource]:
+    """The recording that a folder is, or every one that it holds.
+
+    Raises:
+        DataError: There is none.
+    """
+    if not folder.is_dir():
+        raise DataError(f"{folder} is no folder; name one with recordings.")
+    names = {known.name for known in KNOWN_SETS}
+    if (folder / DESCRIPTION).is_file() or folder.name in names:
+        return [_find(str(folder), folder.parent)]
+    entries = sorted(entry for entry in folder.iterdir() if entry.is_dir())
+    found = [_find(str(e), folder) for e in entries if (e / DESCRIPTION).is_file() or e.name in names]
+    if not found:
+        raise DataError(
+            f"{folder} holds no recording: no folder with a {DESCRIPTION}, and none of {', '.join(sorted(names))}."
+        )
+    return found
+
+
 def _find(text: str, folder: Path) -> SetSource:
     places = [Path(text).expanduser(), folder / text]
     for place in places:

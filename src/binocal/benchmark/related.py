@@ -1,102 +1,30 @@
 """The related work's calibrators on input that suits each: errors beside the bound, and beside what the cited works report.
 
-Everything is cases x calibrators x seeds -> rows with units. A case makes a sample from a seed (evidence, truth, bound) and measures
-a calibration of it; a row is the median over the seeds, the least and the greatest, and the seeds that were refused.
+Everything is cases x methods x seeds -> rows with units (:mod:`binocal.experiments`).
 """
 
 from __future__ import annotations
 
 import platform
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from binocal.benchmark import related_cases as cases
-from binocal.calibrators import calibrate
-from binocal.errors import BinocalError
-from binocal.result import StereoCalibration
+from binocal.experiments.case import Case, by_calibrator
+from binocal.experiments.run import rows_of, run_cases
 
 SEEDS = 10
 
 
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A calibrator with its options, under the name of a row."""
-
-    label: str
-    calibrator: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-
-def method(name: str, **options: Any) -> Method:
-    """The calibrator of that name, its options in the label."""
-    words = ", ".join(f"{key} {value}" for key, value in options.items())
-    return Method(f"{name} ({words})" if words else name, name, options)
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """What to make from a seed, what to measure of a calibration of it, by which methods, and what the cited work reports."""
-
-    name: str
-    make: Callable[[int], cases.Sample]
-    measure: Callable[[StereoCalibration, cases.Sample], list[cases.Measured]]
-    methods: tuple[Method, ...]
-    theirs: Mapping[str, str] = field(default_factory=dict)
-
-
-def run_case(case: Case, seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """The rows of a case: one for each method and criterion."""
-    found: dict[tuple[str, str], list[cases.Measured]] = {}
-    failures = dict.fromkeys((m.label for m in case.methods), 0)
-    for seed in seeds:
-        sample = case.make(seed)
-        for each in case.methods:
-            try:
-                made = calibrate(sample.evidence, calibrator=each.calibrator, options=each.options, **sample.choices)
-            except BinocalError:
-                failures[each.label] += 1
-                continue
-            for measured in case.measure(made, sample):
-                found.setdefault((each.label, measured.criterion), []).append(measured)
-    rows = []
-    for label, n_failed in failures.items():
-        of_label = [values for (of, _), values in found.items() if of == label]
-        rows += [_row(case, label, values, n_failed, len(seeds)) for values in of_label or [[]]]
-    return rows
-
-
-def _row(case: Case, label: str, values: list[cases.Measured], n_failed: int, n_seeds: int) -> dict[str, Any]:
-    """One row; without figures where every seed was refused."""
-    if not values:
-        nothing = dict.fromkeys(("criterion", "unit", "median", "low", "high", "bound", "paper"))
-        return {"case": case.name, "calibrator": label, **nothing, "seeds": n_seeds, "failures": n_failed}
-    numbers = np.array([v.value for v in values])
-    bounds = np.array([v.bound for v in values])
-    return {
-        "case": case.name,
-        "calibrator": label,
-        "criterion": values[0].criterion,
-        "unit": values[0].unit,
-        "median": float(np.median(numbers)),
-        "low": float(numbers.min()),
-        "high": float(numbers.max()),
-        "bound": float(np.median(bounds)) if np.isfinite(bounds).all() else None,
-        "paper": case.theirs.get(values[0].criterion),
-        "seeds": n_seeds,
-        "failures": n_failed,
-    }
-
-
-LM, OPENCV = method("lm"), method("opencv")
-JOINT = (LM, method("alternating"), OPENCV, method("opencv", intrinsics="free"))
-SVD = (method("absolute-orientation"), method("absolute-orientation", refine=True))
-HETEROGENEOUS, WIDE = method("heterogeneous"), method("wide-field")
-RECTANGLES, ZOOM = method("rectangles"), method("zoom")
+LM, OPENCV = by_calibrator("lm"), by_calibrator("opencv")
+JOINT = (LM, by_calibrator("alternating"), OPENCV, by_calibrator("opencv", intrinsics="free"))
+SVD = (by_calibrator("absolute-orientation"), by_calibrator("absolute-orientation", refine=True))
+HETEROGENEOUS, WIDE = by_calibrator("heterogeneous"), by_calibrator("wide-field")
+RECTANGLES, ZOOM = by_calibrator("rectangles"), by_calibrator("zoom")
 WANG_2019 = {"attitude, rms": "0.12", "translation, rms": "7.2", "coordinates, rms": "1.6"}
 WANG_2020 = {
     "binocular mean reprojection error": "0.620-0.754",
@@ -163,7 +91,8 @@ def run_related_benchmark(*, seed: int = 0, seeds: int = SEEDS, groups: Iterable
             if name not in known:
                 raise ValueError(f"no group {name!r} of cases; there are {', '.join(known)}")
         numbers = [seed + i for i in range(seeds)]
-        rows = [row for name in wanted for case in known[name] for row in run_case(case, numbers)]
+        chosen = [case for name in wanted for case in known[name]]
+        rows = [row.document() for row in rows_of(chosen, numbers, run_cases(chosen, numbers))]
     machine = f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}"
     return {
         "benchmark": "related",

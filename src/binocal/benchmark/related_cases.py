@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -18,15 +16,16 @@ from binocal.cameras import StereoRig
 from binocal.cameras.zoom_rig import ZoomRig, curve_quantities, rig_of_quantities
 from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
-from binocal.errors import DegenerateGeometryError
-from binocal.evidence import Detections
 from binocal.evidence.zoom_settings import ZoomSettings
+from binocal.experiments.bounds import bound_of_corners
+from binocal.experiments.case import Made, Sample
+from binocal.experiments.row import Measured
 from binocal.geometry import SE3, so3
 from binocal.images.png import encode_png
 from binocal.metrics import image
 from binocal.metrics.binocular import binocular_error_px
 from binocal.metrics.held_out import exact_views
-from binocal.result import Covariance, StereoCalibration
+from binocal.result import StereoCalibration
 from binocal.shapes import Float
 from binocal.simulation import (
     SETUPS,
@@ -40,31 +39,9 @@ from binocal.simulation.turning import TurningOptions, TurningScene, simulate_tu
 from binocal.simulation.zoom import zoom_rig_at
 from binocal.solvers.covariance import cramer_rao_bound
 from binocal.solvers.prior import RigPrior
-from binocal.solvers.whitening import corner_weights
 
 N_EXACT = 20  # views for lengths
 ZOOM_BOARD = "chessboard:11x8:20mm"
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """One figure of one calibration; ``bound`` is NaN where there is none."""
-
-    criterion: str
-    unit: str
-    value: float
-    bound: float = float("nan")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sample:
-    """Evidence with its truth. ``choices`` go to :func:`binocal.calibrate`; ``truth`` is what a case measures against."""
-
-    evidence: Any
-    truth: Any
-    board: Board | None = None
-    bound: Covariance | None = None
-    choices: Mapping[str, Any] = field(default_factory=dict)
 
 
 def board_corners(seed: int) -> Sample:
@@ -93,22 +70,14 @@ def rendered(setup: str, spec: str, model: str, folder: Path) -> Callable[[int],
             listed = [ImagePair(f"{v:02d}", pairs[v]["left"], pairs[v]["right"]) for v in sorted(pairs)]
             corners = detect_pairs(listed, board).detections
         kept = scene.T_left_board[[int(name) for name in corners.names]]
-        return Sample(corners, chosen.rig, board, _bound(chosen.rig, corners, kept), {"model": model})
+        return Sample(corners, chosen.rig, board, bound_of_corners(chosen.rig, corners, kept), {"model": model})
 
     return make
 
 
-def _bound(rig: StereoRig, corners: Detections, T_left_board: SE3) -> Covariance | None:
-    weights = corner_weights(corners)
-    try:
-        return cramer_rao_bound(
-            *(rig, corners.object_points_m, T_left_board, weights.unit_px),
-            left_is_seen=corners.left_is_seen,
-            right_is_seen=corners.right_is_seen,
-            weights=weights,
-        )
-    except DegenerateGeometryError:
-        return None
+def _calibration(made: Made) -> StereoCalibration:
+    assert made.calibration is not None  # the methods of these cases are calibrators
+    return made.calibration
 
 
 def errors_of(rig: StereoRig, truth: StereoRig) -> Float[ndarray, "p"]:
@@ -118,7 +87,7 @@ def errors_of(rig: StereoRig, truth: StereoRig) -> Float[ndarray, "p"]:
     return np.concatenate([*parts, turn, rig.T_right_left.t - truth.T_right_left.t])
 
 
-def rig_errors(made: StereoCalibration, sample: Sample) -> list[Measured]:
+def rig_errors(made: Made, sample: Sample) -> list[Measured]:
     """Rotation, translation and lengths beside the bound; all parameters' errors over the bound and over what is stated."""
     e, bound, truth = errors_of(made.rig, sample.truth), sample.bound, sample.truth
     assert sample.board is not None and bound is not None  # cases of boards have both
@@ -126,7 +95,7 @@ def rig_errors(made: StereoCalibration, sample: Sample) -> list[Measured]:
     exact, _ = exact_views(truth, sample.board, N_EXACT, 0)
     lengths = image.length_error(made.rig, exact, side_m=sample.board.pitch_m)
     over_bound = np.sqrt(np.mean(np.square(e) / np.diag(bound.matrix)))
-    over_stated = np.sqrt(e @ np.linalg.solve(made.covariance.matrix, e) / len(e))
+    over_stated = np.sqrt(e @ np.linalg.solve(_calibration(made).covariance.matrix, e) / len(e))
     return [
         Measured("rotation error", "deg", float(np.degrees(np.linalg.norm(e[-6:-3]))), float(np.degrees(of_turn))),
         Measured("translation error", "mm", 1e3 * float(np.linalg.norm(e[-3:])), 1e3 * float(of_shift)),
@@ -136,11 +105,15 @@ def rig_errors(made: StereoCalibration, sample: Sample) -> list[Measured]:
     ]
 
 
-def wide_errors(made: StereoCalibration, sample: Sample) -> list[Measured]:
+def wide_errors(made: Made, sample: Sample) -> list[Measured]:
     """The same, and the binocular mean reprojection error beside that of the mean of the views' poses, on the same corners."""
     return [
         Measured("binocular mean reprojection error", "px", binocular_error_px(made.rig, sample.evidence)),
-        Measured("the same, mean of the views' poses", "px", binocular_error_px(mean_of_views(made), sample.evidence)),
+        Measured(
+            "the same, mean of the views' poses",
+            "px",
+            binocular_error_px(mean_of_views(_calibration(made)), sample.evidence),
+        ),
         *rig_errors(made, sample),
     ]
 
@@ -159,12 +132,12 @@ def turning(n_pairs: int, sigma_deg: float, *, is_always_another: bool, pivot_m:
     return make
 
 
-def turning_errors(made: StereoCalibration, sample: Sample) -> list[Measured]:
+def turning_errors(made: Made, sample: Sample) -> list[Measured]:
     """Attitude, translation and 3-D coordinates of all pairs after the first, as each was known when it came; rms."""
     truth: TurningScene = sample.truth
     place = {name: i for i, name in enumerate(truth.pairs.names)}
     angles, shifts, relative = [], [], []
-    for row in made.provenance["rectangles"]["pairs"]:
+    for row in _calibration(made).provenance["rectangles"]["pairs"]:
         i = place[row["name"]]
         if i == 0:
             continue
@@ -176,7 +149,7 @@ def turning_errors(made: StereoCalibration, sample: Sample) -> list[Measured]:
         Measured("attitude, rms", "deg", float(np.degrees(np.sqrt(np.mean(np.square(angles)))))),
         Measured("translation, rms", "mm", 1e3 * float(np.sqrt(np.mean(np.square(shifts))))),
         Measured("coordinates, rms", "%", 100 * float(np.sqrt(np.mean(np.square(relative))))),
-        Measured("pairs left out", "", float(len(made.rejected))),
+        Measured("pairs left out", "", float(len(_calibration(made).rejected))),
     ]
 
 
@@ -207,10 +180,10 @@ def zoom(n_settings: int, n_views: int = 12, noise_px: float = 0.1) -> Callable[
     return make
 
 
-def zoom_errors(made: StereoCalibration, sample: Sample) -> list[Measured]:
+def zoom_errors(made: Made, sample: Sample) -> list[Measured]:
     """Relative length and row errors: of calibrations at the settings, of the curves there and between, of plain interpolation."""
     given: ZoomSettings = sample.evidence
-    curves, settings = ZoomRig.from_document(made.extra["zoom"]), given.settings
+    curves, settings = ZoomRig.from_document(_calibration(made).extra["zoom"]), given.settings
     own = [calibrate(d, calibrator="lm", model="brown4").rig for d in given.detections]
     points = np.stack([curve_quantities(rig, curves.middle) for rig in own])
     between = 0.5 * (settings[1:] + settings[:-1])

@@ -46,6 +46,8 @@ def load_board(spec_or_path: str) -> Board:
 def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
     """Kalibr's target: lengths are metres; checkerboards count inner corners; ``tagSpacing`` is gap over side."""
     kind = target["target_type"]
+    if kind not in ("aprilgrid", "checkerboard", "circlegrid"):
+        raise ValueError(f"target_type {str(kind)[:40]!r} is not aprilgrid, checkerboard or circlegrid")
     if kind == "aprilgrid":
         return Board(
             "aprilgrid",
@@ -61,17 +63,42 @@ def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
         if abs(across - along) > 1e-9 * along:
             raise ValueError("rowSpacingMeters and colSpacingMeters differ; only square fields are supported")
         return Board("chessboard", columns, rows, along)
-    if kind == "circlegrid":
-        is_staggered = bool(target.get("asymmetricGrid", False))
-        return Board("acircles" if is_staggered else "circles", columns, rows, _number(target, "spacingMeters"))
-    raise ValueError(f"target_type {str(kind)[:40]!r} is not aprilgrid, checkerboard or circlegrid")
+    is_staggered = target.get("asymmetricGrid", False)
+    if not isinstance(is_staggered, (bool, int)):
+        raise ValueError(f"asymmetricGrid must be true or false; got {_shown(is_staggered)}")
+    return Board("acircles" if is_staggered else "circles", columns, rows, _number(target, "spacingMeters"))
+
+
+def format_kalibr_target(board: Board) -> str:
+    """The text of Kalibr's target file for a board; :func:`load_board` reads it back to the same board.
+
+    Raises:
+        ValueError: Kalibr has no such boards, or the board has no scale.
+    """
+    if board.kind == "charuco":
+        raise ValueError("Kalibr knows no ChArUco boards")
+    if not board.is_metric:
+        raise ValueError("a target of Kalibr has its lengths in metres: give the board's a unit, such as 20mm")
+    if board.kind == "aprilgrid":
+        if board.dictionary != "tag36h11" or board.first_tag_id != 0:
+            raise ValueError("Kalibr knows AprilGrids of the family tag36h11 from id 0 on alone")
+        lines = {"tagCols": board.columns, "tagRows": board.rows}
+        lines |= {"tagSize": board.pitch_m, "tagSpacing": board.tag_gap_ratio}
+    else:
+        lines = {"targetCols": board.columns, "targetRows": board.rows}
+        if board.kind == "chessboard":
+            lines |= {"rowSpacingMeters": board.pitch_m, "colSpacingMeters": board.pitch_m}
+        else:
+            lines |= {"spacingMeters": board.pitch_m, "asymmetricGrid": board.kind == "acircles"}
+    kind = {"aprilgrid": "aprilgrid", "chessboard": "checkerboard"}.get(board.kind, "circlegrid")
+    return "".join(f"{key}: {value!r}\n" for key, value in {"target_type": kind, **lines}.items())
 
 
 def _count(target: Mapping[str, Any], key: str) -> int:
     """A whole number of tags, corners or circles."""
     value = target[key]
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"{key} must be a whole number; got {str(value)[:40]!r}")
+        raise ValueError(f"{key} must be a whole number; got {_shown(value)}")
     return value
 
 
@@ -83,5 +110,11 @@ def _number(target: Mapping[str, Any], key: str) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not 0 < number < math.inf:
-        raise ValueError(f"{key} must be a positive number; got {str(value)[:40]!r}")
+        raise ValueError(f"{key} must be a positive number; got {_shown(value)}")
     return number
+
+
+def _shown(value: object) -> str:
+    """A value as it stands in the file, cut where it is long: a text in quotes, for '6' is none of the numbers."""
+    text = str(value)[:40]
+    return f"the text {text!r}" if isinstance(value, str) else text

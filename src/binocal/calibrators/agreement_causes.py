@@ -12,6 +12,7 @@ from binocal.requirements.agreement import Cause
 from binocal.shapes import Float
 from binocal.values import with_sigma
 
+ALONG_BASELINE = 0.99  # cosine; hardly a shift by chance, and what a board of another size looks like
 NEARLY = 0.97  # of what the best cause explains: as likely as it
 
 
@@ -95,6 +96,12 @@ def _described(
     if code == "shifted":
         unit, factor = rig.printed_unit
         words = f"the cameras are shifted against each other by {with_sigma(factor * size, factor * sigma)} {unit}"
+        t = rig.T_right_left.t
+        longer = float(along @ t) / float(np.linalg.norm(t))
+        if abs(longer) > ALONG_BASELINE:
+            percent = 100 * size / float(np.linalg.norm(t))
+            change, board = ("longer", "smaller") if longer > 0 else ("shorter", "larger")
+            words += f": the baseline is {percent:.2g} % {change}, or the board {board} than its SPEC says by as much"
         return Cause(code, words, size, sigma, "m" if rig.is_metric else unit, share)
     if what == "refocused":
         words = (

@@ -17,7 +17,7 @@ from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.calibrators.board_and_exposures import RealViewsSolve, solve_real_views
 from binocal.calibrators.prior_check import check_disagreement, disagreement
 from binocal.calibrators.set_checking import checked_as_a_whole, refuse_shifted_lists, without_copies
-from binocal.calibrators.summary import joint_problem, plain_lengths2, summarize
+from binocal.calibrators.summary import joint_problem, plain_lengths2, rig_of, summarize
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
 from binocal.evidence.pixel_locking import RigLocking
@@ -34,6 +34,7 @@ from binocal.solvers.image_noise import with_image_noise
 from binocal.solvers.minimization import RESUMED_DAMPING, LoopOptions, minimize
 from binocal.solvers.pixel_locking import locking_at, locking_findings
 from binocal.solvers.polish import polish_exact
+from binocal.solvers.poses import estimate_board_poses
 from binocal.solvers.principal_points import with_centre_prior
 from binocal.solvers.whitening import corner_weights, estimate_misfit_px
 
@@ -45,6 +46,10 @@ VALLEY_FALL = (
 FIRST_ITERATIONS = 6  # with all corners alike; enough to tell the noise of images
 CLEAN_ITERATIONS = 12  # ordinary sets take 4 to 6
 EXACT_SCALES = 1.5  # of the floor of the kernel's scale: corners without noise
+POSE_ROUNDS = 3  # the rig that the first leaves shows more of them
+OTHER_POSE_SHARE = 0.9  # of a view's cost: the same pose found anew costs the same to a percent
+OUTLIER_SCALES = 5.0  # of the median residual: corners beyond do not choose between poses
+ALIKE_POSES = np.cos(np.radians(1.0))
 MISFIT_ROUNDS = 3  # the second usually finds nothing to change
 LOCKING_ROUNDS = 2  # found, and fitted once more to what is left without it
 MISFIT_SHARE = 0.1  # of the noise variance; less changes the weights by too little to matter
@@ -139,6 +144,7 @@ def solve_diagnosed(
     used = np.nonzero(diagnosis.is_used)[0]
     n_iterations = 0
     start: BundleEstimate | None = None
+    rounds = POSE_ROUNDS
     while True:
         if len(used) < MIN_VIEWS:
             raise TooFewViewsError(len(used), MIN_VIEWS, {r.name: r.reason for r in rejected})
@@ -146,6 +152,10 @@ def solve_diagnosed(
         start = _start(diagnosis, used) if start is None else start
         problem, minimum, misfit_px, n, locking = solve_unlocked(views, request, start, RobustSolver(minimizer))
         n_iterations += n
+        other = _with_other_poses(views, request.model, problem, minimum) if rounds else None
+        if other is not None:
+            start, rounds = other, rounds - 1
+            continue
         doubts = _check_prior(views, request, _start(diagnosis, used), (problem, minimum))
         bad = _contradicting(views, problem, minimum) if minimum.is_converged else {}
         if not bad:
@@ -277,6 +287,29 @@ def _contradicting(views: Detections, problem: BundleProblem, minimum: BundleMin
     left2, right2 = plain_lengths2(problem, minimum)
     left_used, right_used = inliers(problem, minimum)
     return acceptance.contradicting_views(views, (left2, right2), (left_used, right_used))
+
+
+def _with_other_poses(
+    views: Detections, model: str, problem: BundleProblem, minimum: BundleMinimum
+) -> BundleEstimate | None:
+    """The estimate with the other pose in each view where the rig found fits better by that; None where there is none.
+
+    A board that a long lens sees has two poses that look nearly alike, and the solve may have ended with the wrong one in some
+    views. Those bend the rig until they nearly fit: a minimum with small residuals and focal lengths a percent off.
+    """
+    estimate = minimum.estimate
+    R, t = estimate.T_left_board.R.copy(), estimate.T_left_board.t.copy()
+    posed = estimate_board_poses(rig_of(estimate, views, model), views)
+    before2 = np.concatenate(plain_lengths2(problem, minimum), axis=1)
+    after2 = np.concatenate([posed.left_r2_px2, posed.right_r2_px2], axis=1)
+    most_px2 = OUTLIER_SCALES**2 * np.nanmedian(before2)
+    costs = [np.nansum(np.minimum(r2, most_px2), axis=1) for r2 in (before2, after2)]
+    alike = np.sum(R[:, :, 2] * posed.T_left_board.R[:, :, 2], axis=1)  # cosine between the boards' normals
+    is_other = posed.is_found & (costs[1] < OTHER_POSE_SHARE * costs[0]) & (alike < ALIKE_POSES)
+    if not is_other.any():
+        return None
+    R[is_other], t[is_other] = posed.T_left_board.R[is_other], posed.T_left_board.t[is_other]
+    return replace(estimate, T_left_board=SE3(R, t))
 
 
 def _start(diagnosis: Diagnosis, used: np.ndarray) -> BundleEstimate:

@@ -30,6 +30,12 @@ def _drl_increments() -> Calibrator:
     return calibrate_drl_increments
 
 
+def _from_guess() -> Calibrator:
+    from binocal.calibrators.from_guess import calibrate_from_guess
+
+    return calibrate_from_guess
+
+
 def _opencv() -> Calibrator:
     from binocal.calibrators.opencv import calibrate_opencv
 
@@ -76,6 +82,7 @@ CALIBRATORS: dict[str, Callable[[], Calibrator]] = {
     "drl": _drl,
     "drl-increments": _drl_increments,
     "lm": _lm,
+    "from-guess": _from_guess,
     "opencv": _opencv,
     "alternating": _alternating,
     "absolute-orientation": _absolute_orientation,
@@ -106,6 +113,7 @@ _IN_STAGES = Traits(takes_prior=False, frees_board_and_exposures=False)
 TRAITS: dict[str, Traits] = {
     "opencv": Traits(takes_skew=False, takes_prior=False, frees_board_and_exposures=False),
     "absolute-orientation": _IN_STAGES,
+    "from-guess": Traits(takes_prior=False),
     "wide-field": Traits(only_model="fisheye4"),
     "rectangles": Traits(
         evidence="rectangles", takes_skew=False, needs_prior=True, frees_board_and_exposures=False, takes_model=False

@@ -39,6 +39,53 @@ def parse_length(text: str | None) -> float | None:
     return length_m
 
 
+def parse_measured(text: str | None, board: Any) -> tuple[Any, tuple[float, float] | None]:
+    """The board, with a scale if it had none, and the two distances of ``--measured``, metres.
+
+    Distances far from the board's own are refused before its images are read.
+    """
+    if text is None:
+        return board, None
+    from binocal.boards import measured
+
+    try:
+        measured_m = measured.parse_measured(text)
+        if board is not None:
+            board, _ = measured.board_as_measured(board, measured_m)
+    except ValueError as error:
+        raise typer.BadParameter(f"--measured: {error}") from None
+    return board, measured_m
+
+
+def parse_known_length(text: str) -> Any:
+    """``PAIR:X1,Y1:X2,Y2=LENGTH``, the length perhaps with what it is uncertain by: ``1.500m+-2mm``."""
+    import numpy as np
+
+    from binocal.app.known_lengths import KnownLength
+    from binocal.boards.board import parse_length
+
+    places, _, said = text.rpartition("=")
+    pair, *parts = places.rsplit(":", 2)
+    length, plus, uncertain = said.replace("±", "+-").partition("+-")
+    try:
+        ends = np.array([[float(value) for value in part.split(",")] for part in parts])
+    except ValueError:
+        ends = np.empty((0, 2))
+    if ends.shape != (2, 2) or not np.isfinite(ends).all() or not pair.strip():
+        raise typer.BadParameter(
+            f"--known-length {text!r} is not understood: write PAIR:X1,Y1:X2,Y2=LENGTH, such as 0:120.5,300:410,298.7=1.50m"
+        )
+    try:
+        lengths = [parse_length(part) for part in ((length, uncertain) if plus else (length,))]
+    except ValueError as error:
+        raise typer.BadParameter(f"--known-length {text}: {error}") from None
+    if not all(is_metric for _, is_metric in lengths):
+        raise typer.BadParameter(f"--known-length {text} needs a unit: mm, cm, m or in.")
+    if (ends[0] == ends[1]).all():
+        raise typer.BadParameter(f"--known-length {text}: its ends are one point.")
+    return KnownLength(pair.strip(), ends, *(value for value, _ in lengths))
+
+
 def parse_pixels(option: str, text: str) -> float:
     """Pixels with or without their unit."""
     try:

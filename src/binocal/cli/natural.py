@@ -10,6 +10,7 @@ from binocal.app.natural import NaturalRun
 from binocal.app.natural_drift import ANGLES, Drift
 from binocal.formats import rig_json
 from binocal.metrics.rows import RowFigures
+from binocal.values import with_sigma
 
 
 def run_document(run: NaturalRun, **more: Any) -> dict[str, Any]:
@@ -58,8 +59,12 @@ def recalibrate_text(run: NaturalRun, output: Any, kept: str = "") -> str:
     turn = ", ".join(f"{name} {value:+.4f} ± {np.degrees(sigma[f'rotation.{a}']):.4f}" for name, value, a in angles)
     t = rig.T_right_left.t / np.linalg.norm(rig.T_right_left.t)
     lines.append(f"Turn     {turn} deg")
+    unit, factor = rig.printed_unit
+    length = ""
+    if rig.is_metric:
+        length = f": {with_sigma(factor * rig.baseline_m, factor * calibration.baseline_sigma_m)} {unit}"
     lines.append(
-        f"Towards  ({t[0]:+.5f}, {t[1]:+.5f}, {t[2]:+.5f}), length from {calibration.provenance['length_from']}"
+        f"Towards  ({t[0]:+.5f}, {t[1]:+.5f}, {t[2]:+.5f}), length from {calibration.provenance['length_from']}{length}"
     )
     led = calibration.provenance["agent"]
     if "agreeing" in led:

@@ -31,6 +31,15 @@ BOARD_HELP = (
 Left = Annotated[str, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")]
 Right = Annotated[str, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")]
 BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
+Measured = Annotated[
+    str | None,
+    typer.Option(
+        "--measured",
+        help="What the ruler says of the printed board: A-B along its rows and A-C along its columns, such as 199.4mm,139.9mm. "
+        "Chessboard, ChArUco: over all squares; AprilGrid: over all tags; circles: from centre to centre.",
+        metavar="A-B,A-C",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout, on errors too.")]
 Needs = Annotated[
     list[str] | None,

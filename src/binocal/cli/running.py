@@ -14,6 +14,7 @@ from typing import Any
 from binocal.cli.exits import FAILED, FINE, INTERRUPT_TEXT, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
 from binocal.cli.grouping import group_lines
 from binocal.cli.streams import discard, finish_stdout, print_document, say
+from binocal.cli.usage import usage_message
 from binocal.errors import (
     BinocalError,
     CancelledError,
@@ -23,7 +24,6 @@ from binocal.errors import (
     PluginError,
 )
 from binocal.findings import finding_document, findings_of
-from binocal.input_file import exists
 
 FAILURES = (
     NotConvergedError,
@@ -149,20 +149,12 @@ def _report(code: str, message: str, wants_json: bool, figures: dict[str, Any] |
 def _report_usage(error: Any, wants_json: bool) -> int:
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "binocal"
-    message = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
-        print(message)
+        print(error.format_message())
         return USAGE
-    message = message.replace("Input should be", "it must be").rstrip(". ")
-    if extra := re.match(r"Got unexpected extra arguments? ?(\(s\))? ?\((?P<first>[^\s)]+)", message):
-        message += _about_patterns(extra["first"])
+    message = usage_message(error)
     _report("usage", f"{message}{'' if message.endswith('?') else '.'} See `{command} --help`.", wants_json)
     return error.exit_code or USAGE
-
-
-def _about_patterns(argument: str) -> str:
-    """What an argument too many most often comes from, where it is a file: a pattern that the shell has expanded."""
-    return "; put patterns in quotes: --left 'left_*.png'" if exists(argument) else ""
 
 
 def _show_warning(message: Any, *_: Any, **__: Any) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import Camera, StereoRig
+from binocal.datasets.frames import name_some
 from binocal.findings import Finding, finding, refusal
 from binocal.images import read_grey_image, read_image
 
@@ -112,6 +113,57 @@ class Dataset:
             groups.setdefault(id(pair.rig), []).append(pair)
         parts = sorted(groups.values(), key=len, reverse=True)
         return tuple(replace(self, stereo_pairs=tuple(part)) for part in parts)
+
+    def of_one_rig(self, *, frame: str | None = None, like: StereoRig | None = None) -> Dataset:
+        """The pairs of one rig; what was left out of several is said by the finding ``dataset-rigs-left-out``.
+
+        That is the rig of the pair called ``frame`` (or whose name begins so), else the one whose cameras are those of ``like``, else
+        the one of most pairs.
+
+        Raises:
+            DataError: No pair is called so (finding ``dataset-frame-unknown``).
+        """
+        parts, why = self.by_rig(), "which has most pairs"
+        if frame is not None:
+            parts, why = _with_frame(self, parts, frame), f"that of {frame}"
+        elif like is not None and any(_are_same_cameras(part.rig, like) for part in parts):
+            parts = tuple(part for part in parts if _are_same_cameras(part.rig, like))
+            why = "whose cameras are the rig's"
+        part = parts[0]
+        if len(part) == len(self):
+            return part
+        others = [pair for pair in self.stereo_pairs if pair.rig is not part.stereo_pairs[0].rig]
+        said = finding(
+            "dataset-rigs-left-out",
+            n_out=len(others),
+            n_pairs=len(self),
+            n_rigs=len({id(pair.rig) for pair in others}),
+            names=name_some(pair.name for pair in others),
+            used=part.stereo_pairs[0].name,
+            why=why,
+        )
+        return replace(part, findings=(*part.findings, said))
+
+
+def _with_frame(whole: Dataset, parts: Sequence[Dataset], frame: str) -> tuple[Dataset, ...]:
+    """The parts that hold the pair of that name, or else pairs whose names begin so, those with most of them first."""
+    for is_meant in (frame.__eq__, lambda name: name.startswith(frame)):
+        counts = [sum(is_meant(pair.name) for pair in part.stereo_pairs) for part in parts]
+        if any(counts):
+            order = sorted(range(len(parts)), key=lambda k: -counts[k])
+            return tuple(parts[k] for k in order if counts[k])
+    names = name_some(pair.name for pair in whole.stereo_pairs)
+    raise refusal(finding("dataset-frame-unknown", path=str(whole.path), frame=frame, names=names))
+
+
+def _are_same_cameras(rig: StereoRig | None, other: StereoRig) -> bool:
+    if rig is None:
+        return False
+    pairs = ((rig.left, other.left), (rig.right, other.right))
+    return all(
+        a.model == b.model and a.size_wh == b.size_wh and np.allclose(a.parameters, b.parameters, rtol=1e-6, atol=1e-9)
+        for a, b in pairs
+    )
 
 
 class SharedRigs:

@@ -125,7 +125,7 @@ def _expand(side: str, text: str) -> list[Path]:
         return [path]
     if path.is_dir():
         return [entry for entry in path.iterdir() if not entry.name.startswith(".")]
-    matches = [Path(match) for match in glob.glob(text, recursive=True)]
+    matches = [Path(match) for match in glob.glob(_with_literal_folder(text), recursive=True)]
     folders = [match for match in matches if match.is_dir()]
     files = [match for match in matches if not match.is_dir()]
     if folders and not files:
@@ -133,6 +133,16 @@ def _expand(side: str, text: str) -> list[Path]:
     if not matches:
         raise DataError(f"{side}: nothing matches {text}; {_describe_folder(text)}")
     return files
+
+
+def _with_literal_folder(text: str) -> str:
+    """The glob, with brackets and stars taken for what they are where a folder of that very name exists ("rig [2]/left*")."""
+    folder = Path(text).parent
+    while folder != folder.parent and not folder.is_dir():
+        folder = folder.parent
+    if not glob.has_magic(str(folder)):
+        return text
+    return os.path.join(glob.escape(str(folder)), os.path.relpath(text, folder))
 
 
 def _describe_folder(text: str) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 
 from binocal.boards import Board
 from binocal.boards.board import format_length
+from binocal.detection.detect import detect
 from binocal.detection.finding.markers import get_dictionary
 from binocal.detection.found import FoundBoard
 from binocal.detection.recognition import SeenBoard, recognize
@@ -44,6 +45,8 @@ def count_signs(found: Sequence[tuple[Path, FoundBoard]]) -> int:
 
 def hint_from_images(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> Hint | None:
     """Another board that some of the images show; None where they do not agree on one, or it is the board itself."""
+    if (mirrored := _hint_of_mirror(found, board)) is not None:
+        return mirrored
     seen: list[tuple[Path, SeenBoard | None]] = []
     for path in _paths_to_try(found):
         try:
@@ -67,6 +70,24 @@ def hint_from_images(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> 
     if other.kind == board.kind and same_size > n_agreeing:
         n_other, n_tried = same_size, len(found)
     return Hint(n_other, n_tried, _advice(other, board), {"what": f"{other} ({path.name})"})
+
+
+def _hint_of_mirror(found: Sequence[tuple[Path, FoundBoard]], board: Board) -> Hint | None:
+    """The board itself in images that are mirrored, as some webcams give them: its markers cannot be read there."""
+    if board.kind not in ("charuco", "aprilgrid"):
+        return None  # these are their own mirror images
+    paths = _paths_to_try(found)[:MIN_AGREEING]
+    for path in paths:
+        try:
+            grey = read_grey_image(path)
+        except FormatError:
+            return None
+        if detect(np.ascontiguousarray(grey[:, ::-1]), board).reason:
+            return None
+    if not paths:
+        return None
+    remedy = "give the images as the cameras took them (some webcams and their programs mirror them)"
+    return Hint(len(paths), len(paths), remedy, {"what": f"the board mirrored ({paths[0].name})"})
 
 
 def _paths_to_try(found: Sequence[tuple[Path, FoundBoard]]) -> list[Path]:

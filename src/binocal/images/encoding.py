@@ -28,6 +28,24 @@ def encode_float_tiff(image: Float32[ndarray, "h w"]) -> bytes:
     return _encoded(".tiff", image, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
 
 
+def encode_jpeg(image: ndarray, *, quality: int = 75) -> bytes:
+    """JPEG file for the eye, of a grey image or one in blue-green-red order; of 16 bits as :func:`to_8_bit` has it."""
+    import cv2
+
+    return _encoded(".jpg", to_8_bit(image), [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+
+def shrunk(image: ndarray, most_width: int) -> ndarray:
+    """The image no wider than that, by averaging; a narrower one as it is."""
+    height, width = image.shape[:2]
+    if width <= most_width:
+        return image
+    import cv2
+
+    size_wh = most_width, max(1, round(height * most_width / width))
+    return cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA)
+
+
 def to_8_bit(image: ndarray) -> UInt8[ndarray, "..."]:
     """An image of 8 bits a channel; of 16 bits, its darkest to brightest thousandth are spread over them."""
     if image.dtype == np.uint8:

@@ -49,3 +49,11 @@ def match_features(left: Features, right: Features, ratio: float = RATIO) -> Int
     is_clear = np.maximum(1 - nearest, 0) < ratio**2 * np.maximum(1 - following, 0)
     found = np.flatnonzero(is_mutual & is_clear)
     return np.column_stack([found, best[found]])
+
+
+def as_bytes(image: ndarray) -> ndarray:
+    """As features are sought in: uint8, the full range of what deeper images show."""
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image)
+    low, high = np.percentile(image, (0.5, 99.5))
+    return np.clip(255 * (image.astype(float) - low) / max(high - low, 1.0), 0, 255).astype(np.uint8)

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from binocal.evidence.point_matches import PointMatches
 from binocal.kernels.template_match import match_templates
-from binocal.matching.features import RATIO, find_features, match_features
+from binocal.matching.features import RATIO, as_bytes, find_features, match_features
 from binocal.matching.sharpness import edge_spread_px
 from binocal.shapes import Bool, Float
 
@@ -45,7 +45,7 @@ def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions |
     Those whose windows do not agree are left out, unless few are left.
     """
     options = options or MatchOptions()
-    first, second = (find_features(_bytes(image), options.n_features) for image in (left, right))
+    first, second = (find_features(as_bytes(image), options.n_features) for image in (left, right))
     found = match_features(first, second, options.ratio)
     left_px, right_px = first.points_px[found[:, 0]], second.points_px[found[:, 1]]
     refined, agrees = _refined(left, right, left_px, right_px, options.half)
@@ -74,11 +74,3 @@ def _refined(
     back = match_templates(other, shown, points, left_px, np.linalg.inv(warp), half=half)
     comes_back = back.is_converged & (np.linalg.norm(back.points_px - left_px, axis=1) < MAX_RETURN_PX)
     return points, is_found & comes_back
-
-
-def _bytes(image: ndarray) -> ndarray:
-    """As SIFT takes it: uint8, the full range of what deeper images show."""
-    if image.dtype == np.uint8:
-        return np.ascontiguousarray(image)
-    low, high = np.percentile(image, (0.5, 99.5))
-    return np.clip(255 * (image.astype(float) - low) / max(high - low, 1.0), 0, 255).astype(np.uint8)

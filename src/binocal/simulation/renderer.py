@@ -30,11 +30,13 @@ from binocal.simulation.coverage import Footprint, Sheet, sheet_of
 from binocal.simulation.imaging import rays_of_pixels, read_out, through_lens
 from binocal.simulation.layout import printed_extent_m, sheet_margin
 from binocal.simulation.optics import blur_image, blur_kernel
+from binocal.simulation.printed_shape import PrintedShape
 from binocal.simulation.visibility import field_angle_rad, visible_px
 
 _FINE = 4  # points per pixel and axis
 _SPREAD_PX = 0.14  # less: the fine grid aliases; more: more pixels count as edges
 _SPREAD_REACH = 4.0  # beyond 4 sigma a Gaussian holds 3e-5 of an edge's contrast, 0.006 grey levels
+_BEND_ROUNDS = 3  # to where a ray meets a bent sheet: a bow of 1 % leaves 1e-6 pitches
 _OFFSETS_PX = (np.arange(_FINE) + 0.5) / _FINE - 0.5
 
 
@@ -69,6 +71,8 @@ class RenderOptions:
     """ChArUco layout of OpenCV before 4.6."""
     april_border_bits: int = 2
     """Black border cells of AprilGrid tags: 2 on Kalibr's sheets, 1 as tags are mostly printed elsewhere."""
+    shape: PrintedShape | None = None
+    """How the sheet is bent and where its print lies; None: a plane, printed as drawn."""
 
     def __post_init__(self) -> None:
         if self.blur_px < 0 or self.noise_dn < 0 or self.gamma <= 0 or not 0 <= self.vignetting < 1:
@@ -102,7 +106,8 @@ def render_image(
     """
     light = render_light(camera, T_camera_board, board, options, rng)
     image = read_out(light, rng, noise_dn=options.noise_dn, gamma=options.gamma, bit_depth=options.bit_depth)
-    return RenderedImage(image, visible_px(camera, T_camera_board.apply(board.object_points_m)))
+    points = board.object_points_m if options.shape is None else options.shape.points_m(board)
+    return RenderedImage(image, visible_px(camera, T_camera_board.apply(points)))
 
 
 def render_light(
@@ -188,7 +193,7 @@ def _sample_board(
     """Light of the sheet on the fine grid (0 where no sheet is), and the sheet's coverage of each pixel."""
     import cv2
 
-    x, y, is_off = _board_coordinates(rays, T_camera_board, board.pitch_m)
+    x, y, is_off = _board_coordinates(rays, T_camera_board, board.pitch_m, options.shape)
     at = Footprint(
         x[1:-1, 1:-1], y[1:-1, 1:-1],
         (x[1:-1, 2:] - x[1:-1, :-2]) / 2, (x[2:, 1:-1] - x[:-2, 1:-1]) / 2,
@@ -226,16 +231,23 @@ def _sample_board(
 
 
 def _board_coordinates(
-    rays: Float[ndarray, "3 h w"], T_camera_board: SE3, pitch_m: float
+    rays: Float[ndarray, "3 h w"], T_camera_board: SE3, pitch_m: float, shape: PrintedShape | None
 ) -> tuple[Float[ndarray, "h w"], Float[ndarray, "h w"], Bool[ndarray, "h-2 w-2"]]:
-    """Where each ray meets the board's plane, in pitches, and which inner pixels do not (their neighbours included)."""
+    """Which place of the drawing each ray meets, in pitches, and which inner pixels meet none (their neighbours included)."""
     R, eye = T_camera_board.R, T_camera_board.inverse().t / pitch_m
     with np.errstate(all="ignore"):
         toward = R[0, 2] * rays[0] + R[1, 2] * rays[1] + R[2, 2] * rays[2]
-        length = -eye[2] / toward
         is_hit = toward > 1e-6  # NaN where there is no ray; grazing rays meet the plane a million pitches away
-        x = np.where(is_hit, eye[0] + length * (R[0, 0] * rays[0] + R[1, 0] * rays[1] + R[2, 0] * rays[2]), 0.0)
-        y = np.where(is_hit, eye[1] + length * (R[0, 1] * rays[0] + R[1, 1] * rays[1] + R[2, 1] * rays[2]), 0.0)
+        along_x = (R[0, 0] * rays[0] + R[1, 0] * rays[1] + R[2, 0] * rays[2]) / toward
+        along_y = (R[0, 1] * rays[0] + R[1, 1] * rays[1] + R[2, 1] * rays[2]) / toward
+        x = np.where(is_hit, eye[0] - eye[2] * along_x, 0.0)
+        y = np.where(is_hit, eye[1] - eye[2] * along_y, 0.0)
+        if shape is not None:
+            for _ in range(_BEND_ROUNDS):
+                depth = shape.height(x, y) - eye[2]
+                x = np.where(is_hit, eye[0] + depth * along_x, 0.0)
+                y = np.where(is_hit, eye[1] + depth * along_y, 0.0)
+            x, y = shape.drawn_at(x, y)
     near = is_hit[:, :-2] & is_hit[:, 1:-1] & is_hit[:, 2:]
     return x, y, ~(near[:-2] & near[1:-1] & near[2:])
 

@@ -74,7 +74,8 @@ class FarPhase:
 
     is_running = None
 
-    def __init__(self) -> None:
+    def __init__(self, *, leads_when_near: bool = False) -> None:
+        self.leads_when_near = leads_when_near
         self.iterations: list[ControlledIteration] = []
         self.fallback_reason = ""
         self._decrement = np.inf
@@ -91,7 +92,7 @@ class FarPhase:
         self._decrement = float(state.decrement_sigma)
         if not np.isfinite(self._decrement) or not np.isfinite(state.cost_px2):
             self.fallback_reason = "the equations are singular or the start is impossible"
-        elif self._decrement < NEAR_SIGMA or not _is_far(state):
+        elif self._decrement < NEAR_SIGMA or not (self.leads_when_near or _is_far(state)):
             return True
         elif len(done) >= PROGRESS_WINDOW and self._decrement > 0.5 * done[-PROGRESS_WINDOW].decrement_sigma:
             self.fallback_reason = f"the distance left did not halve in {PROGRESS_WINDOW} iterations"
@@ -118,10 +119,12 @@ def minimize_controlled(
     options: LoopOptions | None = None,
     *,
     scale_px: float | ndarray | None = None,
+    leads_when_near: bool = False,
 ) -> ControlledMinimum:
     """The robust minimum of one rig near ``start``: see the module's text.
 
-    A controller is asked only for a rig whose whole transform is free.
+    A controller is asked only for a rig whose whole transform is free. With ``leads_when_near`` it goes on where any solver would
+    take the step well, until the next step is shorter than ``NEAR_SIGMA``: the steps are then the controller's own.
     """
     options = options or LoopOptions()
     noise_px = scale_px
@@ -129,13 +132,12 @@ def minimize_controlled(
         noise_px = problem.noise_estimate_px(problem.residual_lengths2(start))
         scale_px = options.scale_factor * noise_px
     is_movable = problem.is_stereo and problem.is_rig_free and problem.held_part is None
-    if not is_movable or (
-        np.isfinite(noise_px) and noise_px < FAR_PX
-    ):  # near: no more is spent than without a controller
+    is_near = not leads_when_near and np.isfinite(noise_px) and noise_px < FAR_PX
+    if not is_movable or is_near:  # no more is spent than without a controller
         known_px = scale_px if np.isfinite(noise_px) else None
         return ControlledMinimum(problem, minimize(problem, start, options, scale_px=known_px), (), "", start)
     state = begin(problem, start, options.kernel, noise_px if np.isfinite(noise_px) else None)
-    phase = FarPhase()
+    phase = FarPhase(leads_when_near=leads_when_near)
     end = run(problem, state, controller, options.kernel, FAR, phase)
     if phase.iterations:
         tail = replace(options, initial_damping=min(options.initial_damping, RESUMED_DAMPING))

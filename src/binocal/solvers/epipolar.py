@@ -40,10 +40,8 @@ class Rays:
     @property
     def is_finite(self) -> Bool[ndarray, "n"]:
         """Whether the lens model has a ray there."""
-        finite: Bool[ndarray, "n 3 3"] = np.isfinite(
-            np.concatenate([self.directions[..., None], self.by_pixel], axis=-1)
-        )
-        return finite.reshape(len(finite), -1).min(axis=1)
+        with_slopes = np.concatenate([self.directions[..., None], self.by_pixel], axis=-1)
+        return np.all(np.isfinite(with_slopes), axis=(-1, -2), keepdims=False)
 
     def select(self, index: ndarray) -> Rays:
         """Some of them."""

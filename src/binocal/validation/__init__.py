@@ -11,12 +11,19 @@ from binocal.validation.checks import ValidationReport, validate
 from binocal.validation.halves import CrossValidation, cross_validate
 from binocal.validation.lens import LensAdequacy, measure_lens_adequacy
 from binocal.validation.overview import CheckLine, overview
-from binocal.validation.residuals import Whiteness, corner_residuals, measure_whiteness
+from binocal.validation.residuals import (
+    SmoothedResiduals,
+    Whiteness,
+    corner_residuals,
+    measure_whiteness,
+    smooth_residuals,
+)
 
 __all__ = [
     "CheckLine",
     "CrossValidation",
     "LensAdequacy",
+    "SmoothedResiduals",
     "ValidationReport",
     "Whiteness",
     "corner_residuals",
@@ -24,5 +31,6 @@ __all__ = [
     "measure_lens_adequacy",
     "measure_whiteness",
     "overview",
+    "smooth_residuals",
     "validate",
 ]

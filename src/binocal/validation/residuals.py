@@ -12,6 +12,8 @@ from binocal.evidence.pixel_locking import RigLocking
 from binocal.result import StereoCalibration
 from binocal.shapes import Float
 
+SMOOTHED_WH = 17, 13  # places over an image at which residuals are averaged
+LEAST_WEIGHT = 3.0  # corners that a place's mean is of, to be stated
 NEAR = 1.3  # times the least distance of two board points: neighbours along rows and columns
 
 
@@ -103,3 +105,42 @@ def _neighbours(points: Float[ndarray, "n 3"]) -> tuple[ndarray, ndarray]:
         return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
     a, b = np.nonzero(upper & (distance < NEAR * distance[upper].min()))
     return a, b
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothedResiduals:
+    """Mean residuals over an image, on a grid of places: what neighbouring corners have in common there.
+
+    ``mean_px`` and its standard error ``sigma_px`` (one coordinate) are NaN where no corner was near.
+    """
+
+    px: Float[ndarray, "rows columns 2"]
+    mean_px: Float[ndarray, "rows columns 2"]
+    sigma_px: Float[ndarray, "rows columns"]
+
+
+def smooth_residuals(
+    px: Float[ndarray, "views n 2"],
+    residuals: Float[ndarray, "views n 2"],
+    size_wh: tuple[int, int],
+    grid_wh: tuple[int, int] = SMOOTHED_WH,
+) -> SmoothedResiduals:
+    """Residuals averaged with a Gaussian weight of one grid step; a place needs the weight of :data:`LEAST_WEIGHT` corners.
+
+    The standard error takes corners to be independent: where the mean is many of it, they are not noise.
+    """
+    known = np.isfinite(residuals).all(axis=-1) & np.isfinite(px).all(axis=-1)
+    at, off = px[known], residuals[known]
+    width, height = size_wh
+    x, y = (np.linspace(0, n - 1, m) for n, m in zip(size_wh, grid_wh, strict=True))
+    step = max((width - 1) / (grid_wh[0] - 1), (height - 1) / (grid_wh[1] - 1), 1e-9)
+    weights = [np.exp(-0.5 * ((grid[:, None] - at[:, i]) / step) ** 2) for i, grid in enumerate((x, y))]
+    total = weights[1] @ weights[0].T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.stack([(weights[1] * off[:, i]) @ weights[0].T for i in (0, 1)], axis=-1) / total[..., None]
+        squares = (weights[1] ** 2) @ (weights[0] ** 2).T
+        variance = float(np.mean(off**2)) if len(off) else np.nan
+        sigma = np.sqrt(squares * variance) / total
+    is_near = total >= LEAST_WEIGHT
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
+    return SmoothedResiduals(grid, np.where(is_near[..., None], mean, np.nan), np.where(is_near, sigma, np.nan))

@@ -6,7 +6,20 @@ The modules' order is that of the help.
 from __future__ import annotations
 
 # isort: off
-from binocal.cli.verbs import demo, calibrate, simulate, evaluate, channels, rectified, natural, train, bench  # noqa: F401 - each adds its own
+from binocal.cli.verbs import (  # noqa: F401 - each adds its own
+    demo,
+    board,
+    calibrate,
+    simulate,
+    evaluate,
+    report,
+    channels,
+    rectified,
+    natural,
+    train,
+    experiment,
+    bench,
+)
 from binocal.cli.options import app
 
 # isort: on

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_needs
+from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_measured, parse_needs
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, Force, Json, Needs, Seed, Threads, app, finite, present
+from binocal.cli.options import BOARD_HELP, Force, Json, Measured, Needs, Seed, Threads, app, finite, present
 from binocal.errors import CalibrationError, DataError, FormatError
 
 if TYPE_CHECKING:
@@ -128,6 +128,7 @@ def calibrate(
             metavar="FILE",
         ),
     ] = None,
+    measured: Measured = None,
     exposure: Annotated[
         Exposures,
         typer.Option(
@@ -206,6 +207,7 @@ def calibrate(
     from binocal.output import check_output
 
     parsed = _parse_source((left, right), board, corners, zoom)
+    parsed, measured_m = parse_measured(measured, parsed)
     needs = parse_needs(require, is_metric=None if parsed is None else parsed.is_metric)
     check_calibrator(calibrator, CALIBRATORS, load_calibrator)
     kind = evidence_of(calibrator)
@@ -217,6 +219,10 @@ def calibrate(
         raise typer.BadParameter("--at is a setting of --zoom.")
     if board_file is not None and zoom is not None:
         raise typer.BadParameter("--board-file does not go with --zoom.")
+    if measured is not None and (zoom is not None or board_file is not None or kind != "board"):
+        raise typer.BadParameter(
+            "--measured is of a board as drawn; leave it out, or --zoom, --board-file, --calibrator."
+        )
     if corners is not None and (preprocess or channel is not Channels.grey or board_file is not None):
         text = "--preprocess, --channel and --board-file belong to images; leave them out, or --corners."
         raise typer.BadParameter(text)
@@ -241,7 +247,7 @@ def calibrate(
         request = replace(request, progress=progress)
         if corners is not None or parsed is None:
             assert corners is not None  # there is no other source without a board
-            run = verbs.calibrate_corners(corners, request, calibrator=calibrator)
+            run = verbs.calibrate_corners(corners, request, calibrator=calibrator, measured_m=measured_m)
         elif zoom is not None:
             run = _calibrate_zoom(zoom, parsed, request, at, preprocess, channel.value)
         else:
@@ -251,6 +257,7 @@ def calibrate(
                 preprocess=preprocess,
                 channel=channel.value,
                 measured_board=measured_board,
+                measured_m=measured_m,
             )
         run = verbs.with_checks(run, request) if checks else run
     tables.list_left_out(run.ignored, run.calibration.rejected, run.notes)

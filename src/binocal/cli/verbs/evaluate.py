@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from binocal.cli.arguments import parse_board, parse_needs, parse_pixels
+from binocal.cli.arguments import parse_board, parse_measured, parse_needs, parse_pixels
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, Json, Needs, Threads, app, parse_range, present
+from binocal.cli.options import BOARD_HELP, Json, Measured, Needs, Threads, app, parse_range, present
 from binocal.errors import DataError
 
 
@@ -25,6 +25,7 @@ def evaluate(
     left: Annotated[str | None, typer.Option("--left", help="Held-out left images.", metavar="GLOB")] = None,
     right: Annotated[str | None, typer.Option("--right", help="Held-out right images.", metavar="GLOB")] = None,
     board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    measured: Measured = None,
     require: Needs = None,
     threads: Threads = None,
     json: Json = False,
@@ -39,6 +40,8 @@ def evaluate(
     on_images = (left, right, board)
     if (truth is None) == (on_images == (None, None, None)) or (truth is None and None in on_images):
         raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
+    if measured is not None and truth is not None:
+        raise typer.BadParameter("--measured is of a board in images; leave it out, or --truth.")
     needs = parse_needs(require, is_metric=None)
     if truth is not None:
         calibration, known = rig_json.read_calibration(rig), rig_json.read_truth(truth)
@@ -57,11 +60,13 @@ def evaluate(
             text = "\n".join([*needs_text(report, calibration.rig.printed_unit), "", text])
         present(document, text, json)
         return FINE if is_good else BELOW_QUALITY
-    parsed = parse_board(str(board))
+    parsed, measured_m = parse_measured(measured, parse_board(str(board)))
     calibration = rig_json.read_calibration(rig) if rig_json.holds_calibration(rig) else None
     read = load_rig(rig) if calibration is None else calibration.rig
     with progress_on_terminal() as progress:
-        seen = verbs.evaluate_images(read, str(left), str(right), parsed, calibration=calibration, progress=progress)
+        seen = verbs.evaluate_images(
+            read, str(left), str(right), parsed, calibration=calibration, measured_m=measured_m, progress=progress
+        )
     tables.list_left_out(seen.ignored, seen.rejected, seen.notes)
     document, text = documents.images_document(seen), tables.images_text(seen, read.is_metric)
     is_good = not seen.findings

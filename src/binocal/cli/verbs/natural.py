@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import check_calibrator, parse_length
+from binocal.cli.arguments import check_calibrator, parse_known_length, parse_length
 from binocal.cli.exits import BELOW_QUALITY, FINE
 from binocal.cli.options import Force, Json, Seed, Threads, app, finite, present
 
@@ -19,6 +19,17 @@ Dataset = Annotated[
         help="Pairs and cameras of a data set as it is unpacked, in place of --left and --right: kitti:PATH, cityscapes:PATH, "
         "euroc:PATH, middlebury:PATH.",
         metavar="KIND:PATH",
+    ),
+]
+
+
+RigOf = Annotated[
+    str | None,
+    typer.Option(
+        "--rig-of",
+        help="Of a data set with several calibrations, that of this pair (its name, or how that begins); else that of --rig, "
+        "or of most pairs.",
+        metavar="FRAME",
     ),
 ]
 
@@ -45,7 +56,7 @@ MaxPairs = Annotated[
     int | None,
     typer.Option(
         "--max-pairs",
-        help="Use the N most telling pairs of twice as many looked at; 8 unless given.",
+        help="Use the N pairs that tell most, of twelve times as many glanced at; 8 unless given.",
         metavar="N",
         min=1,
     ),
@@ -64,6 +75,7 @@ def recalibrate(
     left: SomeLeft = None,
     right: SomeRight = None,
     dataset: Dataset = None,
+    rig_of: RigOf = None,
     rig: OldRig = None,
     output: Annotated[Path, typer.Option("--output", help="Where the rig goes.", metavar="RIG.JSON")] = Path(
         "new.json"
@@ -76,6 +88,15 @@ def recalibrate(
         str | None,
         typer.Option(
             "--baseline", help="Distance of the cameras, such as 120mm; default: the old rig's.", metavar="LENGTH"
+        ),
+    ] = None,
+    known_length: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--known-length",
+            help="A length in the scene that gives the cameras' distance: pair (name, or number from 0), both ends in its left image, "
+            "and the length, such as 0:120.5,300:410,298.7=1.50m (perhaps +-2mm); may be repeated.",
+            metavar="PAIR:X,Y:X,Y=LENGTH",
         ),
     ] = None,
     calibrator: Annotated[
@@ -104,18 +125,30 @@ def recalibrate(
     from binocal.formats import rig_json
     from binocal.output import check_output
 
-    length_m = parse_length(baseline)
+    length_m, lengths = parse_length(baseline), tuple(parse_known_length(text) for text in known_length or ())
+    if lengths and (baseline is not None or reference):
+        raise typer.BadParameter(
+            "--baseline and --known-length both give the length: leave one out."
+            if baseline is not None
+            else "--reference writes the rig as given, whose length stays: leave out --known-length."
+        )
     check_calibrator(calibrator, NATURAL_CALIBRATORS, solves_of)
     check_output(output, force=force)
-    given, source = _natural_source(left, right, dataset, rig)
-    if reference and given is None:
-        raise typer.BadParameter("--reference keeps the rig as given: give --rig with a rig.json.")
+    given, source = _natural_source(left, right, dataset, rig, rig_of)
     with progress_on_terminal() as progress:
         options = natural.NaturalOptions(
-            start is Starts.rig, length_m, max_pairs or natural.MAX_PAIRS, seed, progress, calibrator=calibrator
+            start is Starts.rig,
+            length_m,
+            max_pairs or natural.MAX_PAIRS,
+            seed,
+            progress,
+            calibrator=calibrator,
+            known_lengths=lengths,
         )
         run = natural.recalibrate(source, options)
-    written = natural.with_reference(given, run) if reference and given is not None else run.calibration
+    written = run.calibration
+    if reference:
+        written = natural.with_reference(given or natural.as_given(source.rig, source.length_from), run)
     rig_json.write_calibration(output, written, force=force)
     kept = ", the rig as given with this result as its reference" if reference else ""
     present(texts.run_document(run, output=str(output)), texts.recalibrate_text(run, output, kept), json)
@@ -127,6 +160,7 @@ def check(
     left: SomeLeft = None,
     right: SomeRight = None,
     dataset: Dataset = None,
+    rig_of: RigOf = None,
     rig: OldRig = None,
     stream: Annotated[
         bool,
@@ -163,7 +197,7 @@ def check(
         raise typer.BadParameter("--stream takes every pair; leave out --max-pairs.")
     if fps is not None and fps <= 0:
         raise typer.BadParameter(f"--fps is {fps:g}; give pairs per second, such as 10.")
-    _, source = _natural_source(left, right, dataset, rig)
+    _, source = _natural_source(left, right, dataset, rig, rig_of)
     if stream:
         return _check_stream(source, every or 1, fps, seed, json)
     with progress_on_terminal() as progress:
@@ -238,15 +272,19 @@ def _check_stream(source: Any, every: int, fps: float | None, seed: int, json: b
     return BELOW_QUALITY if run.has_drifted else FINE
 
 
-def _natural_source(left: str | None, right: str | None, dataset: str | None, rig: Path | None) -> Any:
-    """The calibration of ``--rig``, if there is one, and the pairs with their rig."""
+def _natural_source(
+    left: str | None, right: str | None, dataset: str | None, rig: Path | None, rig_of: str | None
+) -> Any:
+    """The calibration of ``--rig``, None where a data set brings its own, and the pairs with their rig."""
     from binocal.app import natural
 
     if (dataset is None) == (left is None and right is None) or (left is None) != (right is None):
         raise typer.BadParameter("give either --dataset, or --left and --right together.")
+    if rig_of is not None and dataset is None:
+        raise typer.BadParameter("--rig-of chooses among the calibrations of a --dataset.")
     given = None if rig is None else natural.load_given_rig(rig)
     if dataset is not None:
-        return given, natural.source_of_dataset(dataset, given)
+        return given, natural.source_of_dataset(dataset, given, rig_of)
     if given is None:
         raise typer.BadParameter("images alone do not say what cameras took them: give --rig.")
     return given, natural.source_of_images(str(left), str(right), given)

@@ -59,8 +59,11 @@ struct Task {
 // The image's value at a place; false where samples would lie beyond it.
 BINOCAL_INLINE bool sample(const Image& image, double x, double y, float& out) {
     const double floor_x = std::floor(x), floor_y = std::floor(y);
+    // compared before the cast: a place that no integer holds (NaN, infinite, huge) may become any index
+    if (!(floor_x >= 3 && floor_y >= 3 && floor_x + (kTaps - 3) <= static_cast<double>(image.width) &&
+          floor_y + (kTaps - 3) <= static_cast<double>(image.height)))
+        return false;
     const auto left = static_cast<std::ptrdiff_t>(floor_x) - 3, top = static_cast<std::ptrdiff_t>(floor_y) - 3;
-    if (!(left >= 0 && top >= 0 && left + kTaps <= image.width && top + kTaps <= image.height)) return false;
     const float* wx = lanczos().weights[static_cast<int>((x - floor_x) * kPhases + 0.5)].data();
     const float* wy = lanczos().weights[static_cast<int>((y - floor_y) * kPhases + 0.5)].data();
     float columns[kTaps] = {};

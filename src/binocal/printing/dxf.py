@@ -1,0 +1,64 @@
+"""A page as DXF for cutters, engravers and CAD: closed polylines and circles in millimetres, y up.
+
+Written as release 12 (AC1009), which every program reads. Layers: BOARD has what is to be cut or etched, NOTES the scale bars and
+texts, SHEET the outline of the page. Source: Autodesk, "DXF Reference", release 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from binocal.printing.drawing import Area, Disc, Page, Shape
+
+LAYERS = ("SHEET", "BOARD", "NOTES")
+MILLIMETRES = 4  # of $INSUNITS
+
+
+def dxf_text(page: Page) -> str:
+    """The page as a DXF document.
+
+    Raises:
+        ValueError: The page shows a part of a sheet: outlines cannot be cut off here.
+    """
+    if any(group.clip is not None for group in page.groups):
+        raise ValueError("a DXF file holds the whole sheet; it is not split over pages")
+    pairs: list[tuple[int, object]] = [
+        (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (9, "$INSUNITS"), (70, MILLIMETRES),
+        (9, "$MEASUREMENT"), (70, 1), (9, "$EXTMIN"), (10, 0.0), (20, 0.0), (30, 0.0),
+        (9, "$EXTMAX"), (10, page.width), (20, page.height), (30, 0.0), (0, "ENDSEC"),
+        (0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LAYER"), (70, len(LAYERS)),
+    ]  # fmt: skip
+    for colour, name in enumerate(LAYERS, start=5):
+        pairs += [(0, "LAYER"), (2, name), (70, 0), (62, colour), (6, "CONTINUOUS")]
+    pairs += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
+    corners = [(0.0, 0.0), (page.width, 0.0), (page.width, page.height), (0.0, page.height)]
+    pairs += _polyline("SHEET", corners)
+    for group in page.groups:
+        for shape in group.shapes:
+            pairs += _entities(shape, group.name.upper(), group.shift, page.height)
+    pairs += [(0, "ENDSEC"), (0, "EOF")]
+    return "".join(f"{code}\n{_value(value)}\n" for code, value in pairs)
+
+
+def _entities(shape: Shape, layer: str, shift: tuple[float, float], height: float) -> Iterator[tuple[int, object]]:
+    x, y = shift
+    if isinstance(shape, Area):
+        for outline in shape.outlines:
+            yield from _polyline(layer, [(float(u) + x, height - float(v) - y) for u, v in outline])
+    elif isinstance(shape, Disc):
+        yield from [(0, "CIRCLE"), (8, layer), (10, shape.x + x), (20, height - shape.y - y), (30, 0.0)]
+        yield (40, shape.radius)
+    else:
+        yield from [(0, "TEXT"), (8, layer), (10, shape.x + x), (20, height - shape.y - y), (30, 0.0)]
+        yield from [(40, 0.7 * shape.size), (1, shape.text)]
+
+
+def _polyline(layer: str, points: list[tuple[float, float]]) -> list[tuple[int, object]]:
+    pairs: list[tuple[int, object]] = [(0, "POLYLINE"), (8, layer), (66, 1), (10, 0.0), (20, 0.0), (30, 0.0), (70, 1)]
+    for x, y in points:
+        pairs += [(0, "VERTEX"), (8, layer), (10, x), (20, y), (30, 0.0)]
+    return [*pairs, (0, "SEQEND"), (8, layer)]
+
+
+def _value(value: object) -> str:
+    return f"{value:.6f}" if isinstance(value, float) else str(value)
