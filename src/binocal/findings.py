@@ -165,6 +165,13 @@ _KINDS = (
         "see what is wrong with them, or leave them out",
     ),
     FindingKind(
+        "pairs-disagree", _W, "Pairs of images differ by more than their matches' errors",
+        "the pairs do not show one pose: with a pose of its own each, matches would be {apart_px:.2f} px nearer (RMS, {share_percent:.0f} % of "
+        "the squares, {over_regions:.0f} times what the errors of matches explain): the cameras moved between the exposures of a pair, or the "
+        "rig flexes; {remedy}.",
+        "check that both cameras expose together, or take pairs while they stand still",
+    ),
+    FindingKind(
         "matches-ask-for-other-cameras", _W, "Matches would fit better with other cameras",
         "the matches ask for {what}, which would save {saved_percent:.0f} % of the squared residuals: the cameras' parameters are not quite "
         "those of these images, and the pose bears their error; {remedy}.",

@@ -25,6 +25,7 @@ from binocal.calibrators.natural_checks import (
     clear_sides,
     contradicting_pairs,
     is_mixed_up,
+    pairs_disagree,
     pairs_left_out,
     refuse_other_rig,
     refuse_rectified,
@@ -53,6 +54,7 @@ from binocal.solvers.epipolar_covariance import (
     covariance_between_pairs,
     covariance_by_regions,
     covariance_of_noise,
+    pairs_apart,
     regions_of,
     steps_by_intrinsics,
 )
@@ -200,6 +202,7 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
         findings.append(
             finding("matches-ask-for-other-cameras", what=asked(ask), saved_percent=100 * ask.fall, parameter=ask.name)
         )
+    findings += pairs_disagree(pairs_apart(solved.equations, matches.pair, regions))
     return _calibration(solved, request, (covariance, random), (*findings, *kept))
 
 

@@ -13,6 +13,7 @@ from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3, so3
 from binocal.shapes import Bool
 from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, parallax_and_sides
+from binocal.solvers.epipolar_covariance import PairsApart
 from binocal.solvers.epipolar_diagnosis import Ask
 from binocal.solvers.relative_pose import RelativePose
 from binocal.solvers.robust import TUKEY_END
@@ -33,6 +34,9 @@ UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
 RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
 """Median difference of matches' rows as they are, and by the rig given, for images that were rectified before; the former's share of
 the noise in the rig's best pose."""
+APART_SHARE, APART_OVER_REGIONS = 0.25, 5.0
+"""Of the squared residuals, that a pose for each pair would take away, and over what regions explain, for pairs to disagree: EuRoC's and
+BumbleBee2's have up to 0.11 and 3.5, KITTI's grey ones 0.43 to 0.61 and 10 to 18."""
 NAMED = 3  # pairs in one sentence
 
 
@@ -104,6 +108,14 @@ def pairs_left_out(matches: PointMatches, odd: Mapping[int, str], has_old: bool)
     if n_odd > n_pairs / 2 or (n_odd == n_pairs / 2 and not has_old):
         raise refusal(finding("pairs-contradict", n_odd=n_odd, n_pairs=n_pairs, what=what))
     return finding("pairs-left-out", n_odd=n_odd, n_pairs=n_pairs, what=what)
+
+
+def pairs_disagree(apart: PairsApart | None) -> list[Finding]:
+    """What is said of pairs that differ by more than errors of their matches explain."""
+    if apart is None or apart.share < APART_SHARE or apart.over_regions < APART_OVER_REGIONS:
+        return []
+    share_percent, over = 100 * apart.share, apart.over_regions
+    return [finding("pairs-disagree", apart_px=apart.apart_px, share_percent=share_percent, over_regions=over)]
 
 
 def named(texts: list[str]) -> str:
