@@ -470,8 +470,9 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
 
 
 def _count_crossings(crossings: Int[ndarray, "m 4 2"], rows: int, columns: int) -> int:
-    inside = np.all((crossings >= 0) & (crossings < (columns, rows)), axis=-1)
-    return len(np.unique(crossings[inside], axis=0))
+    is_met = np.zeros((rows + 2, columns + 2), bool)
+    is_met[crossings[..., 1] + 1, crossings[..., 0] + 1] = True
+    return int(np.count_nonzero(is_met[1:-1, 1:-1]))
 
 
 def _best(sightings: list[MarkerSighting]) -> list[MarkerSighting]:

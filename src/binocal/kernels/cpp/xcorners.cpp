@@ -200,7 +200,9 @@ void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, s
         const double *at = corners.points + 2 * i, contrast = corners.contrast[i];
         for (int other : nearest[i]) {
             if (other < 0) break;
-            const double x = corners.points[2 * other] - at[0], y = corners.points[2 * other + 1] - at[1], length = std::hypot(x, y);
+            const double x = corners.points[2 * other] - at[0], y = corners.points[2 * other + 1] - at[1];
+            // sqrt is faster, and rounds otherwise.
+            const double length = kNearest == kNeighboursOfMarkers ? std::sqrt(x * x + y * y) : std::hypot(x, y);
             double cosine, cosine_back;
             const int ray = nearest_ray(corners.directions[i], x, y, length, cosine);
             if (neighbour[4 * i + ray] >= 0) continue;
