@@ -312,6 +312,12 @@ def test_in_a_browser(folder, capsys):
         dragged = shown.value(outlines)
         assert dragged != before
         shown.value("document.getElementById('scene-view').focus({preventScroll: true})")
+        x, y = shown.value(
+            "(() => { const b = [...document.querySelectorAll('#scene .board')].at(-1).getBoundingClientRect();"
+            " return [b.left + b.width / 2, b.top + b.height / 2]; })()"
+        )
+        shown.mouse("mouseMoved", x, y)
+        assert "view" in shown.value("document.getElementById('tip').textContent")
         shown.key("ArrowLeft")
         assert shown.value(outlines) not in (before, dragged)
         shown.key("0")
