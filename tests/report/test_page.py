@@ -8,6 +8,7 @@ import html
 import json
 import re
 import subprocess
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -158,7 +159,10 @@ def test_warnings_come_before_depth(folder):
 
 def test_the_plan_is_drawn_and_what_comes_next_said(page):
     assert "Outlines of the boards to show next in the left image, for depth 0.01% at 2m" in page
-    assert re.search(r"<li>Add the \d+ views? drawn below, which (does not meet|meets) depth 0.01% at 2m", page)
+    assert re.search(
+        r"<li>Add the (\d+ views|view) drawn below for depth 0.01% at 2m: [\d.]+ % becomes [\d.]+ %, which is (not )?enough",
+        page,
+    )
 
 
 def test_without_corners_the_page_says_so(folder, tmp_path):
@@ -221,13 +225,16 @@ def test_wrong_use_is_one_line_and_its_exit_code(folder, tmp_path, capsys, monke
         ([str(folder / "none.json")], 3, "none.json"),
         ([str(folder / "corners.npz")], 3, "corners.npz"),
         ([rig, "--output", str(folder)], 3, "is a folder"),
+        ([rig, "--output", str(folder / "rig.json" / "r.html")], 3, "cannot be made"),
     ):
         assert main(["report", *arguments, *([] if "--output" in arguments else ["--output", out])]) == code, arguments
         error = capsys.readouterr().err
         assert words in error and error.count("\n") == 1, error
-    monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
-    assert main(["report", rig, "--output", out]) == 1
-    assert "pip install 'binocal[report]'" in capsys.readouterr().err
+    for missing in ("jinja2", "matplotlib"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, missing, None)
+            assert main(["report", rig, "--output", out]) == 1
+        assert "pip install 'binocal[report]'" in capsys.readouterr().err
 
 
 def test_the_verb_prints_the_verdict(folder, tmp_path, capsys, undrawn):

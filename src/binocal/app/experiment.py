@@ -65,7 +65,14 @@ def experiment(
         MissingExtraError: Matplotlib is not installed.
         CancelledError: ``should_stop`` returned True; the same call goes on.
     """
-    from binocal.app.experiment_times import MOST_TIMED, recordings_of, rows_of_timed, timed_results
+    from binocal.app.experiment_times import (
+        MOST_TIMED,
+        recordings_in_colour,
+        recordings_of,
+        rows_of_timed,
+        timed_results,
+    )
+    from binocal.experiments.colours import real_colour_cases
     from binocal.experiments.journal import Journal
     from binocal.experiments.page import page_files
     from binocal.experiments.paper import cases_of, experiment_document
@@ -78,7 +85,12 @@ def experiment(
 
     options = options or ExperimentOptions()
     folder = check_experiment_folder(output, force=force)
-    real = [] if options.measured is None else real_board_cases(recordings_of(options.measured))
+    real = []
+    if options.measured is not None:
+        real = [
+            *real_board_cases(recordings_of(options.measured)),
+            *real_colour_cases(recordings_in_colour(options.measured)),
+        ]
     was_resumed = _is_cut(folder) and not force
     try:
         folder.mkdir(parents=True, exist_ok=True)

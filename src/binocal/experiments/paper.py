@@ -8,8 +8,11 @@ from typing import Any
 
 from binocal.experiments.boards import MODEL, RenderedBoards, board_errors, nominal_rig
 from binocal.experiments.case import AtBound, ByCalibrator, Case, Method, PriorUnchanged, by_calibrator
+from binocal.experiments.colours import colour_cases
 from binocal.experiments.guesses import AsPrinted, guess_cases
 from binocal.experiments.options import ExperimentOptions
+from binocal.experiments.preparations import preparation_cases
+from binocal.experiments.target_distance import distance_cases
 from binocal.experiments.trained import can_train, trained_cases
 
 LENGTH = "relative length error"
@@ -74,7 +77,7 @@ def trains(options: ExperimentOptions) -> bool:
 
 def experiment_document(options: ExperimentOptions) -> dict[str, Any]:
     """What an experiment of these options is, for its journal."""
-    return {"model": MODEL, "boards": list(BOARDS), "version": 1, "trains": trains(options)} | options.document()
+    return {"model": MODEL, "boards": list(BOARDS), "version": 2, "trains": trains(options)} | options.document()
 
 
 def cases_of(options: ExperimentOptions, folder: Path) -> Sequence[Case]:
@@ -83,4 +86,6 @@ def cases_of(options: ExperimentOptions, folder: Path) -> Sequence[Case]:
         *board_cases(options),
         *guess_cases(nominal_rig()),
         *(trained_cases(nominal_rig(), folder) if trains(options) else ()),
+        *distance_cases(),
+        *([] if options.is_quick else [*preparation_cases(), *colour_cases()]),
     ]
