@@ -52,7 +52,7 @@ LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to n
 MOST_COMPARED = 64  # faces by which lens and blur are chosen
 ENOUGH_SHARE = 0.9  # of the corners that should be seen
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
-LEAST_CELL_PX = 0.95  # of a marker's code: below it chance reads as well
+LEAST_CELL_PX = 0.85  # of a marker's code: below it chance reads as well
 INSIDE_PX = 6.0
 FEW_FACES = (
     4  # with fewer, corners farther away are tried as neighbours: seen very obliquely the nearest lie in one row
