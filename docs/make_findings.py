@@ -276,10 +276,11 @@ EXPLANATIONS = {
         Points are sought where the image changes in two directions. An image in which hardly any stand out is black, white,
         covered, of a bare wall, or far out of focus.""",
     "image-blurred": """
-        Around the points of each image the spread of edges is measured: 0.9 to 1.2 px in sharp images, within 3 % the same in
-        both images of a pair. A blur of 1.5 px in one of them makes it a third larger, and matches of a sharp with a blurred
+        Around the points that both images show the spread of edges is measured, noise taken out: 0.9 to 1.2 px in sharp images,
+        within 2 % the same in both images of a pair, whatever the gain and noise of either camera. A blur of 1.5 px in one of
+        them makes it a third larger, and matches of a sharp with a blurred
         image are off by up to half a pixel, all in like directions: rotations come out wrong by tenths of a degree and more
-        than is stated. Pairs are refused (of several: left out) from a ratio of 1.3, or 2.5 px in both.""",
+        than is stated. Pairs are refused (of several: left out) from a ratio of 1.25, or 2.5 px in both.""",
     "images-already-rectified": """
         In rectified images matching points lie on equal rows. Where they do so to less than the noise that the best pose of the
         given rig leaves, the images were rectified by somebody, while the rig's file has the lenses of the raw images.""",

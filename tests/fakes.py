@@ -139,7 +139,7 @@ class FakePackages:
         self.calls["bound"] = {"n_views": len(T_left_board.t), "noise_px": noise_px, "n_seen": int(left_is_seen.sum())}
         return self._calibrate(self.detections, None).covariance
 
-    def _render_pairs(self, scene, options, seed, progress=None, aberration_px=0.0):
+    def _render_pairs(self, scene, options, seed, progress=None, aberration_px=None):
         n_views = len(scene.T_left_board.t)
         for view in range(n_views):
             for side, camera in (("left", scene.rig.left), ("right", scene.rig.right)):

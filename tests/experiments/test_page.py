@@ -105,7 +105,7 @@ def small(monkeypatch):
         return make(seed)
 
     case = Case("one", counted, measure, (Fails(), Several()), {}, "3")
-    monkeypatch.setattr(paper, "cases_of", lambda options: [case])
+    monkeypatch.setattr(paper, "cases_of", lambda options, folder: [case])
     monkeypatch.setattr(sys.modules["binocal.app.experiment"], "n_threads", lambda: 1)
     monkeypatch.setattr(experiment_times, "timed_results", lambda options, has: iter(()))
     return made

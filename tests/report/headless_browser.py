@@ -7,7 +7,6 @@ import contextlib
 import json
 import os
 import select
-import shutil
 import subprocess
 import tempfile
 import time
@@ -15,13 +14,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge")
+from binocal.errors import DataError
+from binocal.report.printing import find_browser
+
 LIMIT_S = 30.0
 
 
 def find() -> str | None:
     """The browser of this machine; None where there is none."""
-    return next((found for name in NAMES if (found := shutil.which(name))), None)
+    try:
+        return find_browser()
+    except DataError:
+        return None
 
 
 class Page:

@@ -8,7 +8,15 @@ import pytest
 pytest.importorskip("matplotlib", reason="Matplotlib is an extra: pip install binocal[report]")
 
 from binocal.report.axes import draw_map, image_height
-from binocal.report.corner_figures import draw_board_points, draw_residuals, draw_views, enlargement
+from binocal.report.corner_figures import (
+    draw_board_points,
+    draw_coverage,
+    draw_residuals,
+    draw_view_means,
+    draw_views,
+    enlargement,
+)
+from binocal.report.numbers import three_digits, two_digits
 from binocal.report.rig_figures import draw_board
 from binocal.report.svg import figure_svg
 from binocal.result import BoardShape
@@ -63,3 +71,24 @@ def test_views_and_points_that_one_camera_did_not_see():
 @pytest.mark.parametrize("size_wh", [(4000, 100), (100, 4000), (640, 480)])
 def test_figures_are_neither_flat_nor_towering(size_wh):
     assert 2 <= image_height(size_wh, 4.6) <= 6
+
+
+def test_ten_thousand_views_make_no_larger_figures():
+    names = [f"{i}" for i in range(10_000)]
+    rng = np.random.default_rng(0)
+    figure = figure_svg(
+        lambda axes: draw_views(axes, names, *rng.uniform(0, 1, (2, 10_000)).tolist()), name="v", title="views"
+    )
+    assert len(figure.svg) < 500_000 and len(figure.tips) <= 300
+    px = rng.uniform(0, 400, (10_000, 30, 2))
+    figure = figure_svg(lambda axes: draw_coverage(axes, px, (640, 480), "left"), name="c", title="coverage")
+    assert len(figure.svg) < 300_000 and sum(int(text.split()[0]) for _, _, text in figure.tips) == 300_000
+    figure = figure_svg(
+        lambda axes: draw_view_means(axes, names, rng.normal(0, 1, (10_000, 4))), name="m", title="means"
+    )
+    assert len(figure.svg) < 1_000_000 and len(figure.tips) <= 300
+
+
+def test_large_numbers_have_no_powers_of_ten():
+    assert [two_digits(v) for v in (0.01234, 99.4, 171.3, 12345.0)] == ["0.012", "99", "171", "12345"]
+    assert [three_digits(v) for v in (0.01234, 999.4, 1234.5)] == ["0.0123", "999", "1234"]

@@ -8,6 +8,7 @@ import html
 import json
 import re
 import subprocess
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -141,7 +142,10 @@ def test_same_inputs_same_page(folder, page):
 
 def test_warnings_come_before_depth(folder):
     calibration = read_calibration(folder / "rig.json")
-    good = headline_of(calibration, ())
+    unchecked = headline_of(calibration, ())
+    assert (unchecked.level, unchecked.sentence) == ("care", "No fault is known.")
+    assert unchecked.points == ("Nothing was checked anew: the corners of the calibration are not at hand.",)
+    good = headline_of(calibration.with_evidence(seen(0)), ())
     assert (good.level, good.sentence, good.points) == ("good", "No fault found.", ())
     kept = finding("lens-model-misfits", model="brown4", profile_px=0.1, share_percent=9.0, standard_errors=4.0)
     care = headline_of(calibration, (kept,))
@@ -158,7 +162,10 @@ def test_warnings_come_before_depth(folder):
 
 def test_the_plan_is_drawn_and_what_comes_next_said(page):
     assert "Outlines of the boards to show next in the left image, for depth 0.01% at 2m" in page
-    assert re.search(r"<li>Add the \d+ views? drawn below, which (does not meet|meets) depth 0.01% at 2m", page)
+    assert re.search(
+        r"<li>Add the (\d+ views|view) drawn below for depth 0.01% at 2m: [\d.]+ % becomes [\d.]+ %, which is (not )?enough",
+        page,
+    )
 
 
 def test_without_corners_the_page_says_so(folder, tmp_path):
@@ -166,6 +173,7 @@ def test_without_corners_the_page_says_so(folder, tmp_path):
     run = write_report(tmp_path / "rig.json", tmp_path / "report.html")
     assert any("--evidence" in note for note in run.notes)
     assert 'id="coverage"' not in run.page and 'id="figures"' in run.page
+    assert (run.headline.level, run.headline.sentence) == ("good", "No fault is known.")
 
 
 def test_a_rig_of_which_little_is_known_has_a_page(folder, tmp_path):
@@ -221,13 +229,16 @@ def test_wrong_use_is_one_line_and_its_exit_code(folder, tmp_path, capsys, monke
         ([str(folder / "none.json")], 3, "none.json"),
         ([str(folder / "corners.npz")], 3, "corners.npz"),
         ([rig, "--output", str(folder)], 3, "is a folder"),
+        ([rig, "--output", str(folder / "rig.json" / "r.html")], 3, "cannot be made"),
     ):
         assert main(["report", *arguments, *([] if "--output" in arguments else ["--output", out])]) == code, arguments
         error = capsys.readouterr().err
         assert words in error and error.count("\n") == 1, error
-    monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
-    assert main(["report", rig, "--output", out]) == 1
-    assert "pip install 'binocal[report]'" in capsys.readouterr().err
+    for missing in ("jinja2", "matplotlib"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, missing, None)
+            assert main(["report", rig, "--output", out]) == 1
+        assert "pip install 'binocal[report]'" in capsys.readouterr().err
 
 
 def test_the_verb_prints_the_verdict(folder, tmp_path, capsys, undrawn):
@@ -305,6 +316,12 @@ def test_in_a_browser(folder, capsys):
         dragged = shown.value(outlines)
         assert dragged != before
         shown.value("document.getElementById('scene-view').focus({preventScroll: true})")
+        x, y = shown.value(
+            "(() => { const b = [...document.querySelectorAll('#scene .board')].at(-1).getBoundingClientRect();"
+            " return [b.left + b.width / 2, b.top + b.height / 2]; })()"
+        )
+        shown.mouse("mouseMoved", x, y)
+        assert "view" in shown.value("document.getElementById('tip').textContent")
         shown.key("ArrowLeft")
         assert shown.value(outlines) not in (before, dragged)
         shown.key("0")

@@ -24,6 +24,15 @@ def test_points_are_where_their_drawing_is_printed():
     assert np.allclose(np.abs(shape.height(*line)) * BOARD.pitch_m, [3e-4, 0.0], atol=1e-12)
 
 
+def test_what_pixels_see_is_looked_up_at_every_fourth():
+    shape = draw_printed_shape(BOARD, np.random.default_rng(0), bow_m=0.0, error_m=5e-5)
+    v, u = np.mgrid[0:203, 0:301] / 25.0  # pixels of a 25th of a pitch
+    x, y = u - 0.1 * v - 2.0, v + 0.05 * u - 2.0
+    off = np.stack(shape.drawn_over_image(x, y)) - np.stack(shape.drawn_at(x, y))
+    inside = (x > -0.5) & (x < 5.5) & (y > -0.5) & (y < 3.5)  # beyond lies the rim, where offsets end
+    assert np.abs(off[:, inside]).max() * 25 < 1e-3 and np.sqrt(np.mean(off[:, inside] ** 2)) * 25 < 1e-4
+
+
 def test_a_flat_sheet_without_errors_is_the_board():
     shape = draw_printed_shape(BOARD, np.random.default_rng(0), bow_m=0.0, error_m=0.0)
     assert np.array_equal(shape.points_m(BOARD), BOARD.object_points_m)

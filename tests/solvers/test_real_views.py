@@ -255,6 +255,18 @@ def test_motion_between_the_exposures_alone_does_not_bend_the_board():
     assert calibration.exposure.are_apart and calibration.board_shape is None
 
 
+def test_a_board_that_is_as_drawn_again_is_solved_as_drawn():
+    """It was held where the exposures had bent it, and its own corners were then not those of the calibration."""
+    _, detections = recording(8, 8, moved=(2e-3, 1e-3))
+    problem, minimum = nominal_of(detections)
+    solve = solve_real_views(problem, minimum)
+    assert solve.problem.shape_information is None and solve.problem.deviation_sigma is not None
+    assert np.array_equal(solve.minimum.estimate.points, problem.object_points)
+    calibration = calibrate(detections, model="brown4", calibrator="lm")
+    assert calibration.board_shape is None
+    assert replace(calibration, evidence=None).with_evidence(detections).evidence is not None
+
+
 def test_leaving_a_view_out_moves_the_rig_as_the_equations_say():
     _, detections = recording(7, 10)
     for shape in ("flat", "free"):

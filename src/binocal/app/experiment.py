@@ -65,7 +65,14 @@ def experiment(
         MissingExtraError: Matplotlib is not installed.
         CancelledError: ``should_stop`` returned True; the same call goes on.
     """
-    from binocal.app.experiment_times import MOST_TIMED, recordings_of, rows_of_timed, timed_results
+    from binocal.app.experiment_times import (
+        MOST_TIMED,
+        recordings_in_colour,
+        recordings_of,
+        rows_of_timed,
+        timed_results,
+    )
+    from binocal.experiments.colours import real_colour_cases
     from binocal.experiments.journal import Journal
     from binocal.experiments.page import page_files
     from binocal.experiments.paper import cases_of, experiment_document
@@ -73,10 +80,17 @@ def experiment(
     from binocal.experiments.real_boards import real_board_cases
     from binocal.experiments.run import rows_of, run_cases
     from binocal.experiments.stability import stability_rows
+    from binocal.experiments.trained import histories_in
+    from binocal.report.training import training_drawing
 
     options = options or ExperimentOptions()
     folder = check_experiment_folder(output, force=force)
-    real = [] if options.measured is None else real_board_cases(recordings_of(options.measured))
+    real = []
+    if options.measured is not None:
+        real = [
+            *real_board_cases(recordings_of(options.measured)),
+            *real_colour_cases(recordings_in_colour(options.measured)),
+        ]
     was_resumed = _is_cut(folder) and not force
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -85,7 +99,7 @@ def experiment(
             (folder / RESULTS).unlink(missing_ok=True)
     except OSError as error:
         raise DataError(f"{folder}: the output's folder cannot be made: {error.strerror}.") from None
-    cases, seeds = [*cases_of(options), *real], options.seeds
+    cases, seeds = [*cases_of(options, folder), *real], options.seeds
     journal = Journal(folder / JOURNAL, experiment_document(options) | {"binocal": __version__})
     try:
         results = run_cases(
@@ -100,7 +114,9 @@ def experiment(
         journal.close()
     rows = [*rows_of(cases, seeds, results), *stability_rows(cases, seeds, results), *timed_rows]
     run = ExperimentRun(rows, folder, was_resumed)
-    files = page_files(paper_page(options, rows)) | {
+    histories = histories_in(folder, seeds)
+    given = {"training.svg": training_drawing(histories).decode()} if histories else {}
+    files = page_files(paper_page(options, rows), given) | {
         TIMES: times_text(rows),
         RESULTS: dump_json(jsonable(run.document())),
     }

@@ -160,6 +160,18 @@ def recordings_of(folder: str | Path) -> list[tuple[str, Detections, str]]:
     return [(source.name, load_set(source).detections, source.model) for source in sets_in(Path(folder))]
 
 
+def recordings_in_colour(folder: str | Path) -> list[tuple[str, dict[str, Detections], str]]:
+    """Name, views by channel and camera model of every recording that is in colour.
+
+    Raises:
+        DataError: There is none of either kind; or the images of one cannot be used.
+    """
+    from binocal.benchmark.real_sets import load_channels, sets_in
+
+    found = [(source.name, load_channels(source), source.model) for source in sets_in(Path(folder))]
+    return [(name, channels, model) for name, channels, model in found if channels is not None]
+
+
 def rows_of_timed(options: ExperimentOptions, results: Mapping[Key, Result]) -> list[Row]:
     """Rows of the sets of table 4, each from one run."""
     rows = []

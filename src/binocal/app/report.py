@@ -22,7 +22,7 @@ from binocal.planning import ViewPlan, plan_views
 from binocal.progress import ProgressCallback
 from binocal.report.contents import ReportContents
 from binocal.report.headline import Headline, headline_of
-from binocal.report.page import report_page
+from binocal.report.page import report_page, require_drawing
 from binocal.report.printing import find_browser, page_as_pdf
 from binocal.requirements import Requirement, parse_requirement
 from binocal.requirements.figures import usual_range
@@ -83,6 +83,7 @@ def write_report(
             the output cannot be written.
         MissingExtraError: Jinja or Matplotlib is not installed.
     """
+    require_drawing()
     browser = "" if pdf is None else find_browser()
     for path in (output, pdf):
         if path is not None:

@@ -79,7 +79,7 @@ def simulate(
     rendering = Setup(rig, options.light).with_lens_and_noise(options.blur_px, options.noise_dn)
     shown = StereoScene(rig, board, T_left_board)
     images = render_pairs(
-        shown, rendering, image_seed, stage_of(progress, "rendering"), aberration_px=options.aberration_px
+        shown, rendering, image_seed, stage_of(progress, "rendering"), aberration_px=options.aberration_px or None
     )
     _write(images, truth, output, force)
     return truth

@@ -24,7 +24,9 @@ from binocal.detection import detect_pairs
 from binocal.errors import BinocalError, DataError, FormatError
 from binocal.evidence import Detections
 from binocal.formats.detections_npz import is_detections_file, read_detections
+from binocal.images import CHANNELS, read_image
 from binocal.images.png import encode_png
+from binocal.images.preprocessing import Preparation
 from binocal.shapes import Float
 
 ENVIRONMENT = "BINOCAL_DATA"
@@ -197,6 +199,22 @@ def load_set(source: SetSource) -> RealSet:
             left, right = (np.stack(side) for side in sides)
             own = replace(detections, left_px=left, right_px=right, left_covariance_px2=None, right_covariance_px2=None)
     return RealSet(source, detections, own)
+
+
+def load_channels(source: SetSource) -> dict[str, Detections] | None:
+    """Corners of a recording in grey and in each colour; None where its images have no colours, or both cameras share them.
+
+    Raises:
+        BinocalError: The images cannot be used; the text says why.
+    """
+    if source.path.is_file() or source.side_by_side:
+        return None
+    pairs = list_pairs(str(source.path / source.left), str(source.path / source.right)).pairs
+    first = read_image(pairs[0].left_path) if pairs else np.zeros((1, 1))
+    if first.ndim != 3 or all(np.array_equal(first[..., 1], first[..., plane]) for plane in (0, 2)):
+        return None
+    board = load_board(source.board)
+    return {channel: detect_pairs(pairs, board, preparation=Preparation(channel)).detections for channel in CHANNELS}
 
 
 def _list(source: SetSource, aside: Path) -> Pairing:

@@ -255,13 +255,19 @@ def _with_exposures_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) 
             shape = _evidence(solve, model, solve.shape)
             information = None if shape.is_flat else model.information(shape.variances)
             problem = replace(problem, shape_information=information)
-            solve = replace(solve, shape=shape)
+            solve = replace(solve, shape=shape, minimum=solve.minimum if information is not None else _as_drawn(solve))
         solve = _minimized(problem, solve, FINE if attempt else COARSE, solve.shape)
         if not np.isfinite(solve.noise_px):
             break
         if before and max(abs(np.log(a / b)) for a, b in zip(before, sigma, strict=True)) < SETTLED_LOG:
             break
     return solve
+
+
+def _as_drawn(solve: RealViewsSolve) -> RealViewsMinimum:
+    """The minimum with the board's points back where they are drawn, for a solve that holds them where they are."""
+    estimate = replace(solve.minimum.estimate, points=solve.problem.nominal.object_points)
+    return replace(solve.minimum, estimate=estimate)
 
 
 def _minimized(

@@ -26,7 +26,7 @@ from binocal.geometry import SE3, so3
 from binocal.initialization.diagnosis import diagnose_views
 from binocal.result import StereoCalibration
 from binocal.rl.agent_kind import AgentKind
-from binocal.rl.policy import LearnedController, load_policy, shipped_policy
+from binocal.rl.policy import LearnedController, Policy, load_policy, shipped_policy
 from binocal.shapes import Float
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, CameraObservations
 from binocal.solvers.controlled import ControlledMinimum, minimize_controlled
@@ -121,7 +121,7 @@ def hold_cameras(detections: Detections, request: CalibrationRequest) -> HeldCam
     return HeldCameras(left, right, problem, boards, views.is_metric)
 
 
-def lead(held: HeldCameras, guess: SE3, agent: str) -> GuessSolve:
+def lead(held: HeldCameras, guess: SE3, agent: str | Policy) -> GuessSolve:
     """The pose between the cameras from a guess, by an agent's own steps or without one (``lm``)."""
     start = BundleEstimate((held.left.parameters, held.right.parameters), held.T_left_board, guess)
     controller, controlled = _controller(agent), None
@@ -144,8 +144,10 @@ def solve_from_guess(detections: Detections, request: CalibrationRequest) -> Gue
     return lead(held, _guess(request.options, held.T_left_board), str(request.options.get("agent", AgentKind.DRL)))
 
 
-def _controller(name: str) -> Controller | None:
+def _controller(name: str | Policy) -> Controller | None:
     """Who leads; None: nobody."""
+    if isinstance(name, Policy):
+        return LearnedController(name)
     if name == CLASSICAL:
         return None
     kinds = {str(kind): kind for kind in (AgentKind.DRL, AgentKind.DRL_INCREMENTS)}

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from binocal.boards import parse_board
 from binocal.cameras import Camera, StereoRig
-from binocal.datasets.folder import ImagePair
-from binocal.detection import detect_pairs
-from binocal.evidence import Detections
 from binocal.experiments.bounds import bound_of_corners
 from binocal.experiments.case import Made, Sample
+from binocal.experiments.rendered import render_files
 from binocal.experiments.row import Measured
 from binocal.geometry import SE3
-from binocal.images.png import encode_png
 from binocal.metrics import image
 from binocal.metrics.pose import compare_with_truth
-from binocal.simulation import PoseOptions, RenderOptions, StereoScene, render_pairs, sample_board_poses, table2_rig
+from binocal.simulation import PoseOptions, RenderOptions, StereoScene, sample_board_poses, table2_rig
 from binocal.simulation.printed_shape import draw_printed_shape
 from binocal.solvers.poses import estimate_board_poses
 
@@ -55,25 +50,13 @@ class RenderedBoards:
         if self.bow_m or self.print_error_m:
             shape = draw_printed_shape(board, rng, bow_m=self.bow_m, error_m=self.print_error_m)
             looks, true_m = replace(LOOKS, shape=shape), shape.points_m(board)
-        corners = _found(scene, looks, np.random.SeedSequence([seed, 4]))
+        corners = render_files(scene, looks, np.random.SeedSequence([seed, 4])).corners()
         place = np.array([int(name) for name in corners.names])
         first, second = (np.flatnonzero(part) for part in (place < self.n_pairs // 2, place >= self.n_pairs // 2))
         evidence = corners.select(first)
         bound = bound_of_corners(rig, evidence, scene.T_left_board[place[first]])
         held_out = replace(corners.select(second), object_points_m=true_m)
         return Sample(evidence, rig, board, bound, {"model": MODEL}, held_out, nominal_rig())
-
-
-def _found(scene: StereoScene, looks: RenderOptions, seed: np.random.SeedSequence) -> Detections:
-    """The corners in rendered images; a view's name is its place in the scene."""
-    with tempfile.TemporaryDirectory(prefix="binocal-experiment-") as folder:
-        pairs: dict[int, dict[str, Path]] = {}
-        for view, side, pixels in render_pairs(scene, (looks, looks), seed):
-            path = Path(folder) / f"{side}_{view:03d}.png"
-            path.write_bytes(encode_png(pixels))
-            pairs.setdefault(view, {})[side] = path
-        listed = [ImagePair(f"{v:03d}", pairs[v]["left"], pairs[v]["right"]) for v in sorted(pairs)]
-        return detect_pairs(listed, scene.board).detections
 
 
 def board_errors(made: Made, sample: Sample) -> list[Measured]:

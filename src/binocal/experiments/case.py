@@ -25,7 +25,7 @@ class Sample:
     """Evidence with its truth. ``choices`` go to :func:`binocal.calibrate`; ``truth`` is what a case measures against.
 
     ``bound`` is the Cramér-Rao bound of the true rig's parameters, ``held_out`` are views that no method sees, ``prior`` is what the
-    rig's data sheet says.
+    rig's data sheet says. ``training`` are views that an agent may be trained on before.
     """
 
     evidence: Any
@@ -35,6 +35,7 @@ class Sample:
     choices: Mapping[str, Any] = field(default_factory=dict)
     held_out: Detections | None = None
     prior: StereoRig | None = None
+    training: Detections | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

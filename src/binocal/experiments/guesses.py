@@ -13,6 +13,7 @@ from binocal.cameras import StereoRig
 from binocal.experiments.case import Case, Made, Sample
 from binocal.experiments.row import Measured
 from binocal.geometry import SE3, so3
+from binocal.rl.policy import Policy
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
 TABLE = "steps"
@@ -65,29 +66,31 @@ class Leads:
 
     def __call__(self, sample: Sample) -> tuple[Made, ...]:
         """See :class:`binocal.experiments.case.Method`."""
-        corners, seed = sample.evidence
-        assert sample.prior is not None  # given by the case
-        held = hold_cameras(corners, CalibrationRequest(**sample.choices))
-        right = lead(held, sample.truth.T_right_left, "lm")
-        guesses = draw_guesses(sample.prior.T_right_left, *self.farthest, np.random.default_rng([seed, 6]))
-        solves = [lead(held, guess, self.agent) for guess in guesses]
-        is_same = np.array([_is_same(solve, right) for solve in solves])
-        led, total = (
-            np.array([f(s) for s in solves], dtype=float) for f in (lambda s: s.n_led, lambda s: s.minimum.n_iterations)
-        )
-        said = {
-            "iterations, all": (float(total.mean()), ""),
-            "steps chosen by the agent": (float(led.mean()), ""),
-            "classical steps after them": (float((total - led).mean()), ""),
-            "guards took over": (100 * float(np.mean([bool(s.guard) for s in solves])), "%"),
-            "ended in the right minimum": (100 * float(is_same.mean()), "%"),
-        }
-        remaining = [
-            s.controlled.remaining_sigma for s, same in zip(solves, is_same, strict=True) if s.controlled and same
-        ]
-        if remaining:
-            said["left by the agent where no guard did"] = (float(np.median(remaining)), "sigmas")
-        return (Made(right.rig, said=said),)
+        return (led_from_guesses(sample, self.agent, self.farthest),)
+
+
+def led_from_guesses(sample: Sample, agent: str | Policy, farthest: tuple[float, float]) -> Made:
+    """What an agent makes of guesses up to so far off, and its figures: means over them."""
+    corners, seed = sample.evidence
+    assert sample.prior is not None  # given by the case
+    held = hold_cameras(corners, CalibrationRequest(**sample.choices))
+    right = lead(held, sample.truth.T_right_left, "lm")
+    guesses = draw_guesses(sample.prior.T_right_left, *farthest, np.random.default_rng([seed, 6]))
+    solves = [lead(held, guess, agent) for guess in guesses]
+    is_same = np.array([_is_same(solve, right) for solve in solves])
+    led = np.array([solve.n_led for solve in solves], dtype=float)
+    total = np.array([int(solve.minimum.n_iterations) for solve in solves], dtype=float)
+    said = {
+        "iterations, all": (float(total.mean()), ""),
+        "steps chosen by the agent": (float(led.mean()), ""),
+        "classical steps after them": (float((total - led).mean()), ""),
+        "guards took over": (100 * float(np.mean([bool(solve.guard) for solve in solves])), "%"),
+        "ended in the right minimum": (100 * float(is_same.mean()), "%"),
+    }
+    remaining = [solve.controlled.remaining_sigma for solve in solves if solve.controlled and not solve.guard]
+    if remaining:
+        said["left by the agent where no guard did"] = (float(np.median(remaining)), "sigmas")
+    return Made(right.rig, said=said)
 
 
 def draw_guesses(middle: SE3, turn_deg: float, share: float, rng: np.random.Generator) -> list[SE3]:

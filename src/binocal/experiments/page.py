@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import html
 import io
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 
 from binocal.experiments.row import Row
 from binocal.experiments.tables import Table, markdown, tables_of
@@ -35,12 +35,22 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of the page: the table or figure of the paper that it stands for, its heading, what to know, what is drawn."""
+    """A part of the page: the table or figure of the paper that it stands for, its heading, what to know, what is drawn.
+
+    ``given`` are drawings that are not made of rows: title by file, left out where there is no such file.
+    """
 
     table: str
     heading: str
     text: str
     figures: tuple[Figure, ...] = ()
+    given: Mapping[str, str] = field(default_factory=dict)
+
+    def drawn(self, drawings: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+        """Files and titles of the drawings that there are."""
+        for file, title in ({f.file: f.title for f in self.figures} | dict(self.given)).items():
+            if file in drawings:
+                yield file, title
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +63,11 @@ class Page:
     rows: tuple[Row, ...]
 
 
-def page_files(page: Page) -> dict[str, str]:
-    """The files of a page by name: page.md, page.html, the figures, and rows.csv with every row."""
-    drawings = {f.file: drawing for part in page.parts for f in part.figures if (drawing := _drawing(page.rows, f))}
+def page_files(page: Page, given: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The files of a page by name: page.md, page.html, the figures, those that are ``given`` too, and rows.csv with every row."""
+    drawings = dict(given or {}) | {
+        f.file: drawing for part in page.parts for f in part.figures if (drawing := _drawing(page.rows, f))
+    }
     return {
         "page.md": _markdown(page, drawings),
         "page.html": _html(page, drawings),
@@ -100,7 +112,7 @@ def _markdown(page: Page, drawings: Mapping[str, str]) -> str:
         if not tables:
             continue
         lines += [f"## {part.heading}", part.text]
-        lines += [f"![{f.title}]({f.file})" for f in part.figures if f.file in drawings]
+        lines += [f"![{title}]({file})" for file, title in part.drawn(drawings)]
         lines += [markdown(table) for table in tables]
     return "\n\n".join(line for line in lines if line) + "\n"
 
@@ -112,7 +124,7 @@ def _html(page: Page, drawings: Mapping[str, str]) -> str:
         if not tables:
             continue
         body += [f"<h2>{html.escape(part.heading)}</h2>", f"<p>{html.escape(part.text)}</p>"]
-        body += [_inline(drawings[f.file], f.title) for f in part.figures if f.file in drawings]
+        body += [_inline(drawings[file], title) for file, title in part.drawn(drawings)]
         body += [_html_table(table) for table in tables]
     head = f'<meta charset="utf-8"><title>{html.escape(page.title)}</title><style>{STYLE}</style>'
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from binocal.experiments.boards import MODEL, RenderedBoards, board_errors, nominal_rig
 from binocal.experiments.case import AtBound, ByCalibrator, Case, Method, PriorUnchanged, by_calibrator
+from binocal.experiments.colours import colour_cases
 from binocal.experiments.guesses import AsPrinted, guess_cases
 from binocal.experiments.options import ExperimentOptions
+from binocal.experiments.preparations import preparation_cases
+from binocal.experiments.target_distance import distance_cases
+from binocal.experiments.trained import can_train, trained_cases
 
 LENGTH = "relative length error"
 CORRECT = "parameters correct (eq. 20)"
@@ -60,16 +65,27 @@ def board_cases(options: ExperimentOptions) -> list[Case]:
 def left_out() -> Mapping[str, str]:
     """Calibrators that are no row of these tables, and why."""
     return {
-        "rectangles": "works from rectangles of unknown size before turning cameras: `binocal bench related`",
-        "zoom": "works from boards at several zoom settings: `binocal bench related`",
+        "rectangles": "works from rectangles of unknown size before turning cameras: binocal bench related",
+        "zoom": "works from boards at several zoom settings: binocal bench related",
     }
+
+
+def trains(options: ExperimentOptions) -> bool:
+    """Whether agents are trained: not in a quick run, nor without PyTorch."""
+    return can_train() and not options.is_quick
 
 
 def experiment_document(options: ExperimentOptions) -> dict[str, Any]:
     """What an experiment of these options is, for its journal."""
-    return {"model": MODEL, "boards": list(BOARDS), "version": 1} | options.document()
+    return {"model": MODEL, "boards": list(BOARDS), "version": 2, "trains": trains(options)} | options.document()
 
 
-def cases_of(options: ExperimentOptions) -> Sequence[Case]:
-    """All cases, in the order of the page."""
-    return [*board_cases(options), *guess_cases(nominal_rig())]
+def cases_of(options: ExperimentOptions, folder: Path) -> Sequence[Case]:
+    """All cases, in the order of the page; histories of training runs are left in ``folder``."""
+    return [
+        *board_cases(options),
+        *guess_cases(nominal_rig()),
+        *(trained_cases(nominal_rig(), folder) if trains(options) else ()),
+        *distance_cases(),
+        *([] if options.is_quick else [*preparation_cases(), *colour_cases()]),
+    ]

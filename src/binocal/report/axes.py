@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy import ndarray
 
+from binocal.report.numbers import two_digits
 from binocal.report.svg import MAP_COLOURS, Tip
 from binocal.shapes import Float
 
@@ -21,6 +22,7 @@ def image_axes(axes: Axes, size_wh: tuple[int, int], title: str) -> None:
     width, height = size_wh
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), title=title, xlabel="x (px)", ylabel="y (px)")
     axes.set_aspect("equal")
+    axes.locator_params(nbins=6)
     for spine in axes.spines.values():
         spine.set_visible(True)
 
@@ -70,7 +72,7 @@ def draw_map(
         drawn = axes.contourf(px[..., 0], px[..., 1], shown, levels=levels, cmap=MAP_COLOURS, norm=norm)
         bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
         bar.outline.set_visible(False)
-        bar.ax.set_yticks(levels[::2], [f"{level:.2g}" if level < 99.5 else f"{level:.0f}" for level in levels[::2]])
+        bar.ax.set_yticks(levels[::2], [two_digits(level) for level in levels[::2]])
     return tuple(
         Tip(float(x), float(y), f"{value:.3g} {unit} at ({x:.0f}, {y:.0f})")
         for (x, y), value in zip(px[known].tolist(), values[known].tolist(), strict=True)
@@ -81,7 +83,7 @@ def _levels(low: float, high: float) -> Float[ndarray, "k"]:
     """Levels of a map in even steps, or in even ratios where the largest is far above the least."""
     if high - low <= 1e-9 * max(abs(low), abs(high), 1e-12):
         low, high = low - max(abs(low), 1e-12) * 0.05, high + max(abs(high), 1e-12) * 0.05
-    levels = np.geomspace(low, high, N_LEVELS) if low > 0 and high / low > 6 else np.linspace(low, high, N_LEVELS)
+    levels = np.geomspace(low, high, N_LEVELS) if low > 0 and high / low > 3 else np.linspace(low, high, N_LEVELS)
     margin = 1e-6 * (high - low)
     levels[0], levels[-1] = levels[0] - min(margin, 0.5 * abs(low) or margin), levels[-1] + margin
     return levels

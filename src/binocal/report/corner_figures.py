@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 SIDES = {"left": LEFT, "right": RIGHT}
 CELLS = 8, 6  # columns and rows in which corners are counted
-MOST_ARROWS = 1500  # of one camera
+MOST_ARROWS, MOST_DOTS = 1500, 4000  # of one camera; cells are counted over all corners
+MOST_BARS = 60  # views; of more, a line takes less room
+MOST_TIPS = 300  # of one figure
 ARROW_SHARE = 0.04  # of the image's diagonal: the length of an arrow that only one in twenty exceeds
 
 
@@ -39,7 +41,7 @@ def draw_coverage(axes: Axes, px: Float[ndarray, "views n 2"], size_wh: tuple[in
         if n == 0:
             cell = Rectangle((xs[i], ys[j]), xs[i + 1] - xs[i], ys[j + 1] - ys[j], color=WARN, alpha=0.18, linewidth=0)
             axes.add_patch(cell)
-    draw_dots(axes, seen, SIDES[side], size=1.6)
+    draw_dots(axes, seen[:: max(1, -(-len(seen) // MOST_DOTS))], SIDES[side], size=1.6)
     return tips
 
 
@@ -66,7 +68,9 @@ def draw_residuals(
     return [
         Tip(x, y, f"({dx:+.3f}, {dy:+.3f}) px at ({x:.0f}, {y:.0f})")
         for (x, y), (dx, dy) in zip(
-            start[:: max(1, len(start) // 300)].tolist(), off[:: max(1, len(start) // 300)].tolist(), strict=True
+            start[:: max(1, len(start) // MOST_TIPS)].tolist(),
+            off[:: max(1, len(start) // MOST_TIPS)].tolist(),
+            strict=True,
         )
     ]
 
@@ -122,15 +126,36 @@ def draw_views(axes: Axes, names: Sequence[str], left_px: Sequence[float], right
     """The RMS of every view in both cameras, along the sequence."""
     place = np.arange(len(names), dtype=float)
     for values, side, shift in ((left_px, "left", -0.2), (right_px, "right", 0.2)):
-        axes.bar(place + shift, np.nan_to_num(values), 0.38, color=SIDES[side], label=side)
+        if len(names) <= MOST_BARS:
+            axes.bar(place + shift, np.nan_to_num(values), 0.38, color=SIDES[side], label=side)
+        else:
+            axes.plot(place, values, color=SIDES[side], linewidth=0.8, label=side)
     axes.set(title="RMS of each view", xlabel="view, in the sequence", ylabel="RMS (px)", xlim=(-0.6, len(names) - 0.4))
     axes.legend(loc="upper right", ncols=2)
     top = np.nanmax([*left_px, *right_px], initial=0.0)
     axes.set_ylim(0, 1.25 * top if top > 0 else 1.0)
-    return [
+    tips = [
         Tip(x, max(np.nan_to_num([a, b])), f"view {name}: left {_px(a)}, right {_px(b)}")
-        for x, name, a, b in zip(place, names, left_px, right_px, strict=True)
+        for x, name, a, b in zip(place.tolist(), names, left_px, right_px, strict=True)
     ]
+    return tips[:: max(1, -(-len(tips) // MOST_TIPS))]
+
+
+def draw_view_means(axes: Axes, names: Sequence[str], by_view_px: Float[ndarray, "views 4"]) -> Sequence[Tip]:
+    """The mean residual of every view in both cameras (left x, y, right x, y), along the sequence: noise where they are white."""
+    place = np.arange(len(names), dtype=float)
+    axes.axhline(0, color=FAINT, linewidth=0.6)
+    for column, (side, axis) in enumerate((side, axis) for side in SIDES for axis in "xy"):
+        style = "-" if axis == "x" else ":"
+        axes.plot(place, by_view_px[:, column], style, color=SIDES[side], linewidth=1.1, label=f"{side} {axis}")
+    axes.set(title="Mean residual of each view", xlabel="view, in the sequence", ylabel="mean (px)")
+    axes.margins(y=0.25)
+    axes.legend(loc="upper right", ncols=4, handlelength=1.3, columnspacing=0.9)
+    tips = []
+    for x, name, (a, b, c, d) in zip(place.tolist(), names, by_view_px.tolist(), strict=True):
+        text = f"view {name}: left ({a:+.3f}, {b:+.3f}) px, right ({c:+.3f}, {d:+.3f}) px"
+        tips.append(Tip(x, float(np.nan_to_num([a, b, c, d]).max()), text))
+    return tips[:: max(1, -(-len(tips) // MOST_TIPS))]
 
 
 def _px(value: float) -> str:

@@ -94,6 +94,14 @@ def residual_section(contents: ReportContents) -> Section | None:
         height=2.6,
     )
     pictures.append(Picture(along, "Views that stand out were taken with the board moving, or hold wrong corners."))
+    if white is not None:
+        means = figure_svg(
+            lambda axes: corner_figures.draw_view_means(axes, [v.name for v in views], white.by_view_px),
+            name="residuals-means",
+            title="Mean residual of every view in both cameras, along the sequence",
+            height=2.6,
+        )
+        pictures.append(Picture(means, "About 0 without order, where one rig explains all views."))
     return Section(
         "residuals",
         "Residuals",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from binocal.findings import KINDS, Finding, Severity
+from binocal.report.numbers import three_digits, two_digits
 from binocal.requirements import Outcome, Verdict
 from binocal.requirements.figures import COVERAGE
 from binocal.result import StereoCalibration
@@ -60,6 +61,12 @@ def headline_of(
         more = f" (and {len(titles) - 1} more warning{'s' if len(titles) > 2 else ''})" if len(titles) > 1 else ""
         sentence = f"Use with care: {met + ', but ' if met else ''}{_lower(titles[0])}{more}."
         titles = titles[1:]
+    elif not n and calibration.evidence is None:
+        level = "good" if depth else "care"
+        sentence, titles = (
+            "No fault is known.",
+            ["Nothing was checked anew: the corners of the calibration are not at hand"],
+        )
     else:
         level = "good"
         met = (
@@ -93,15 +100,11 @@ def depth_sentence(calibration: StereoCalibration, at_boards: RangeMap | None) -
     unit = "m" if calibration.rig.is_metric else "board pitches"
     relative = COVERAGE * 100 * at_boards.depth.calibration_m / at_boards.depth.depth_m
     middle, worst = float(relative[at_boards.field.middle]), float(np.nanmax(relative))
+    distance = f"{three_digits(at_boards.field.depth_m)} {unit}"
     return (
-        f"At {at_boards.field.depth_m:.3g} {unit}, where the boards were, the calibration leaves depth uncertain by {two_digits(middle)} % in "
-        f"the middle of the common view and by {two_digits(worst)} % at its worst place (95 %)."
+        f"At {distance}, where the boards were, the calibration leaves depth uncertain by {two_digits(middle)} % in the middle of the "
+        f"common view and by {two_digits(worst)} % at its worst place (95 %)."
     )
-
-
-def two_digits(value: float) -> str:
-    """A number to two digits, without a power of ten where it is large."""
-    return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"
 
 
 def _order(verdict: Verdict) -> int:

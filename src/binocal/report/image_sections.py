@@ -9,12 +9,13 @@ from numpy import ndarray
 
 from binocal.evidence import Detections
 from binocal.report.contents import ReportContents, ViewImages
-from binocal.report.headline import two_digits
+from binocal.report.numbers import two_digits
 from binocal.report.section import Photo, Section, Table, ViewCard
 from binocal.result import StereoCalibration, ViewResult
 from binocal.shapes import Float
 
 MOST_SHOWN = 150  # corners of one image
+MOST_ROWS = 200  # of a table of views: of more, those of the largest RMS
 
 
 def rectified_section(contents: ReportContents) -> Section | None:
@@ -58,14 +59,22 @@ def view_section(contents: ReportContents) -> Section:
         _card(images, results.get(images.name), reasons.get(images.name, ""), contents.detections, calibration)
         for images in contents.images
     )
+    listed = calibration.views
+    if len(listed) > MOST_ROWS:
+        worst = {v.name for v in sorted(listed, key=lambda v: -np.nan_to_num(v.rms_px))[:MOST_ROWS]}
+        listed = tuple(v for v in listed if v.name in worst)
     rows = tuple(
-        (v.name, _px(v.left_rms_px), _px(v.right_rms_px), f"{v.n_corners}", f"{v.n_outliers}", v.note)
-        for v in calibration.views
+        (v.name, _px(v.left_rms_px), _px(v.right_rms_px), f"{v.n_corners}", f"{v.n_outliers}", v.note) for v in listed
     )
-    tables = [Table(("view", "RMS left", "RMS right", "corners", "left out", "note"), rows, _views(len(rows), "used"))]
+    caption = _views(len(calibration.views), "used")
+    caption += f"; the {len(rows)} of the largest RMS" if len(rows) < len(calibration.views) else ""
+    tables = [Table(("view", "RMS left", "RMS right", "corners", "left out", "note"), rows, caption)]
     if reasons:
         tables.insert(
-            0, Table(("view", "why it was not used"), tuple(reasons.items()), _views(len(reasons), "rejected"), 9)
+            0,
+            Table(
+                ("view", "why it was not used"), tuple(reasons.items())[:MOST_ROWS], _views(len(reasons), "rejected"), 9
+            ),
         )
     lead = (
         "Dots are the corners that were found, rings those left out as outliers."

@@ -19,16 +19,24 @@ SCRIPTS = ("tips.js", "scene.js")
 STYLE = "report.css"
 
 
+def require_drawing() -> None:
+    """Raises MissingExtraError: Jinja or Matplotlib is not installed. For before the work, not after it."""
+    try:
+        import jinja2  # noqa: F401
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("the report", "report") from error
+
+
 def report_page(contents: ReportContents, headline: Headline) -> str:
     """The whole page, HTML text; the headline stands first.
 
     Raises:
         MissingExtraError: Jinja or Matplotlib is not installed.
     """
-    try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-    except ImportError as error:
-        raise MissingExtraError("the report", "report") from error
+    require_drawing()
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     environment = Environment(
         loader=PackageLoader("binocal.report", "templates"),
         autoescape=True,

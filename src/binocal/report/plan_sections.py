@@ -8,6 +8,7 @@ from binocal.report import rig_figures
 from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
 from binocal.report.headline import by_weight
+from binocal.report.numbers import three_digits
 from binocal.report.section import Picture, Section, Table
 from binocal.report.svg import WIDTH_INCHES, figure_svg
 from binocal.requirements import Outcome
@@ -22,8 +23,8 @@ def next_section(contents: ReportContents) -> Section:
         if not plan.views:
             steps += [f"No plan for {plan.requirement.text}: {plan.why}."] if is_open else []
         elif is_open:
-            meets = "which meets" if plan.is_enough else "which does not meet"
-            steps.append(f"Add {_count(plan)} drawn below, {meets} {plan.requirement.text}: {_change(plan)}.")
+            enough = "which is enough" if plan.is_enough else f"which is not enough; {plan.why}"
+            steps.append(f"Add {_count(plan)} drawn below for {plan.requirement.text}: {_change(plan)}, {enough}.")
     if warnings:
         steps.append("Calibrate anew, and make this report again.")
     else:
@@ -49,7 +50,9 @@ def plan_section(contents: ReportContents) -> Section | None:
             title=f"Outlines of the boards to show next in the left image, for {plan.requirement.text}",
             height=image_height(rig.left.size_wh, WIDTH_INCHES),
         )
-        pictures.append(Picture(figure, f"{_change(plan)}. The number stands in the board's first corner."))
+        pictures.append(
+            Picture(figure, f"{plan.requirement.text}: {_change(plan)}. The number stands in the board's first corner.")
+        )
         tables.append(_plan_table(plan, rig))
     lead = (
         "Board poses that lower the figure fastest, in the order in which they help. Show the board about so; that it is exactly so does "
@@ -64,7 +67,7 @@ def _plan_table(plan: ViewPlan, rig: StereoRig) -> Table:
         (
             f"{i}",
             f"({view.left_px[0]:.0f}, {view.left_px[1]:.0f})",
-            f"{factor * view.distance_m:.4g} {unit}",
+            f"{three_digits(factor * view.distance_m)} {unit}",
             f"{view.tilt_deg:.0f} deg",
             view.away,
             plan.requirement.shown(view.figure),
@@ -81,7 +84,7 @@ def _count(plan: ViewPlan) -> str:
 
 def _change(plan: ViewPlan) -> str:
     need = plan.requirement
-    return f"{need.quantity}, 95 %: {need.shown(plan.figure)} becomes {need.shown(plan.views[-1].figure)}"
+    return f"{need.shown(plan.figure)} becomes {need.shown(plan.views[-1].figure)}"
 
 
 def _sentence(text: str) -> str:

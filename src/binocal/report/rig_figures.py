@@ -12,6 +12,7 @@ from binocal.cameras import StereoRig
 from binocal.planning import ViewPlan
 from binocal.report.axes import draw_dots, image_axes
 from binocal.report.corner_figures import SIDES
+from binocal.report.numbers import three_digits
 from binocal.report.scene import RigScene, board_corners
 from binocal.report.svg import FAINT, GOOD, MAP_COLOURS, Tip
 from binocal.result import BoardShape
@@ -35,7 +36,7 @@ def draw_plan(axes: Axes, plan: ViewPlan, points_m: Float[ndarray, "n 3"], rig: 
         axes.plot(px[:, 0], px[:, 1], color=GOOD, linewidth=1.2)
         axes.text(px[0, 0], px[0, 1], f"{number}", color=GOOD, fontsize=9, ha="right", va="bottom", clip_on=True)
         away = f", {view.away} side farther" if view.away else ""
-        text = f"view {number}: {factor * view.distance_m:.3g} {unit} away, tilted by {view.tilt_deg:.0f} deg{away}"
+        text = f"view {number}: {three_digits(factor * view.distance_m)} {unit} away, tilted by {view.tilt_deg:.0f} deg{away}"
         tips.append(Tip(*view.left_px, text))
     return tips
 

@@ -15,11 +15,13 @@ from numpy import ndarray
 from binocal.cameras import Camera
 from binocal.geometry import SE3
 from binocal.planning import ViewPlan
+from binocal.report.numbers import three_digits
 from binocal.result import StereoCalibration
 from binocal.shapes import Float
 
 FRUSTUM_SHARE = 0.45  # of the boards' median distance: how far the outline of a camera's view lies
 PER_EDGE = 4  # points on each edge of an image, which a wide lens bends
+MOST_BOARDS = 150  # of the views; more hide each other
 LEAST_AHEAD = 0.25  # of a ray's length, to be drawn to a plane ahead; others to a sphere
 
 
@@ -81,19 +83,20 @@ def rig_scene(
     boards: list[BoardOutline] = []
     if points_m is not None and poses is not None:
         corners = board_corners(points_m)
-        for i, view in enumerate(calibration.views):
+        views = list(enumerate(calibration.views))
+        for i, view in views[:: max(1, -(-len(views) // MOST_BOARDS))]:
             T = SE3(poses.R[i], poses.t[i])
-            text = f"view {view.name}: {float(np.linalg.norm(poses.t[i])):.3g} {unit} away, RMS {view.rms_px:.3f} px"
+            text = f"view {view.name}: {three_digits(float(np.linalg.norm(poses.t[i])))} {unit} away, RMS {view.rms_px:.3f} px"
             boards.append(BoardOutline(view.name, text, T.apply(corners)))
         number = 0
         for plan in plans:
             for shown in plan.views:
                 number += 1
                 text = (
-                    f"suggested view {number}: {shown.distance_m:.3g} {unit} away, tilted by {shown.tilt_deg:.0f} deg, "
+                    f"suggested view {number}: {three_digits(shown.distance_m)} {unit} away, tilted by {shown.tilt_deg:.0f} deg, "
                     f"{shown.away} side farther"
                     if shown.away
-                    else f"suggested view {number}: {shown.distance_m:.3g} {unit} away"
+                    else f"suggested view {number}: {three_digits(shown.distance_m)} {unit} away"
                 )
                 boards.append(BoardOutline(f"next {number}", text, shown.T_left_board.apply(corners), True))
     return RigScene(cameras, tuple(boards), unit)

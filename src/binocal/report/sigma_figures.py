@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from binocal.report.axes import draw_map, image_axes
 from binocal.report.corner_figures import SIDES
+from binocal.report.numbers import three_digits, two_digits
 from binocal.report.svg import FAINT, GOOD, INK, LEFT, RIGHT, Tip
 from binocal.requirements.figures import COVERAGE
 from binocal.shapes import Float
@@ -40,7 +41,7 @@ def draw_depth_over_range(axes: Axes, ranges: Sequence[RangeMap], unit: str) -> 
             continue
         axes.plot(depth, percent, linestyle=style, color=colour, linewidth=1.5, label=name)
         tips += [
-            Tip(d, p, f"{name}: {p:.2g} % at {d:.3g} {unit}")
+            Tip(d, p, f"{name}: {two_digits(p)} % at {three_digits(d)} {unit}")
             for d, p in zip(depth, percent.tolist(), strict=True)
             if p > 0
         ]
@@ -50,10 +51,11 @@ def draw_depth_over_range(axes: Axes, ranges: Sequence[RangeMap], unit: str) -> 
     return tips
 
 
-def draw_depth_map(axes: Axes, at: RangeMap, size_wh: tuple[int, int], unit: str) -> Sequence[Tip]:
-    """The 95 % error of depth that the calibration leaves, over the left image at one range; blank where only one camera sees."""
-    image_axes(axes, size_wh, f"95 % error of calibrated depth at {at.field.depth_m:.3g} {unit}")
-    percent = 100 * COVERAGE * at.depth.calibration_m / at.depth.depth_m
+def draw_depth_map(axes: Axes, at: RangeMap, size_wh: tuple[int, int], unit: str, cause: str) -> Sequence[Tip]:
+    """The 95 % error of depth by one cause (calibration, matching) over the left image at one range; blank where one camera sees."""
+    image_axes(axes, size_wh, f"depth at {three_digits(at.field.depth_m)} {unit}, {cause}")
+    sigma_m = at.depth.calibration_m if cause == "calibration" else at.depth.matching_m
+    percent = 100 * COVERAGE * sigma_m / at.depth.depth_m
     return draw_map(axes, at.field.left_px, np.where(at.field.is_common, percent, np.nan), "%")
 
 

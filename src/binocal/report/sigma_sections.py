@@ -7,7 +7,7 @@ import numpy as np
 from binocal.report import sigma_figures
 from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
-from binocal.report.headline import two_digits
+from binocal.report.numbers import three_digits, two_digits
 from binocal.report.section import Picture, Section, Table
 from binocal.report.svg import WIDTH_INCHES, figure_svg
 from binocal.requirements.figures import COVERAGE
@@ -80,12 +80,15 @@ def depth_section(contents: ReportContents) -> Section | None:
         title="95 % error of depth over range, by cause",
         height=image_height(rig.left.size_wh, WIDTH_INCHES),
     )
-    over_image = figure_svg(
-        lambda axes: sigma_figures.draw_depth_map(axes, at, rig.left.size_wh, unit),
-        name="depth-image",
-        title="95 % error of depth that the calibration leaves, over the left image",
-        height=image_height(rig.left.size_wh, WIDTH_INCHES),
-    )
+    over_image = [
+        figure_svg(
+            lambda axes, at=at, cause=cause: sigma_figures.draw_depth_map(axes, at, rig.left.size_wh, unit, cause),
+            name=f"depth-{cause}",
+            title=f"95 % error of depth over the left image, the part of {cause}",
+            height=image_height(rig.left.size_wh, WIDTH_INCHES),
+        )
+        for cause in ("calibration", "matching")
+    ]
     rows = []
     for m in seen:
         middle, worst, row = m.field.middle, m.worst, m.row_px[m.field.middle]
@@ -100,7 +103,7 @@ def depth_section(contents: ReportContents) -> Section | None:
         ]
         rows.append(
             (
-                f"{m.field.depth_m:.3g} {unit}",
+                f"{three_digits(m.field.depth_m)} {unit}",
                 *(f"{two_digits(value)} %" for value in percent),
                 f"{two_digits(COVERAGE * float(row))} px" if np.isfinite(row) else "unknown",
             )
@@ -113,7 +116,8 @@ def depth_section(contents: ReportContents) -> Section | None:
         f"(a disparity good to {contents.matching_px:g} px is assumed) another in every pixel.",
         (
             Picture(over_range, "In the middle of what both cameras see, and at its worst place."),
-            Picture(over_image, "Blank where only one camera sees."),
+            Picture(over_image[0], "95 %, what the calibration leaves; blank where only one camera sees."),
+            Picture(over_image[1], f"95 %, what matching to {contents.matching_px:g} px leaves."),
         ),
         (Table(head, tuple(rows), "95 % errors in the middle of the common view"),),
     )

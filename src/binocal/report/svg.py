@@ -104,7 +104,7 @@ def figure_svg(draw: Draw, *, name: str, title: str, height: float = 3.2, width:
         axes = figure.subplots()
         tips = draw(axes) or ()
         right = 0.84 if axes.child_axes else 0.97  # a bar of colours stands beside the axes
-        figure.subplots_adjust(left=0.15, right=right, bottom=0.42 / height, top=1 - 0.28 / height)
+        figure.subplots_adjust(left=0.17, right=right, bottom=0.42 / height, top=1 - 0.28 / height)
         content = io.BytesIO()
         figure.savefig(content, format="svg", metadata={"Date": None})
         places = axes.transData.transform([(tip.x, tip.y) for tip in tips]) if tips else ()

@@ -25,7 +25,12 @@ MAX_POINTS_DRAWN = 400  # of a curve
 
 
 def draw_training(histories: Sequence[TrainingHistory], path: Path) -> None:
-    """Writes the four panels as SVG: critic loss, critic against Monte-Carlo returns, target lag, held-out rigs.
+    """Writes :func:`training_drawing`. Raises as that does."""
+    write_aside(path, training_drawing(histories), force=True)
+
+
+def training_drawing(histories: Sequence[TrainingHistory]) -> bytes:
+    """Four panels as SVG: critic loss, critic against Monte-Carlo returns, target lag, held-out rigs.
 
     Runs with the same kind of targets are one curve: the median over seeds, with a band from the least to the greatest where
     there are several. They are read at the first of these runs' steps, up to the last step that all of them have.
@@ -56,7 +61,7 @@ def draw_training(histories: Sequence[TrainingHistory], path: Path) -> None:
     # text stays text, and the same runs give the same bytes
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "binocal"}):
         figure.savefig(content, format="svg", metadata={"Date": None, "Title": "Training of the calibration agent"})
-    write_aside(path, content.getvalue(), force=True)
+    return content.getvalue()
 
 
 Runs = dict[str, list[TrainingHistory]]

@@ -27,7 +27,7 @@ def render_pairs(
     seed: np.random.SeedSequence,
     progress: Callable[[int, int], None] | None = None,
     *,
-    aberration_px: float = 0.0,
+    aberration_px: float | None = None,
 ) -> Iterator[tuple[int, str, UInt[ndarray, "h w"] | UInt[ndarray, "h w 3"]]]:
     """(view, ``left`` or ``right``, image) of every view of a board, in the order in which they get done.
 
@@ -40,7 +40,7 @@ def render_pairs(
 
     def render(view: int, side: int, rng: np.random.Generator) -> ndarray:
         camera, T_camera_board = sides[side]
-        if aberration_px:
+        if aberration_px is not None:
             return render_colour_image(camera, T_camera_board[view], scene.board, looks[side], aberration_px, rng)
         return render_image(camera, T_camera_board[view], scene.board, looks[side], rng).image
 

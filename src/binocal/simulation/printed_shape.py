@@ -12,6 +12,7 @@ from binocal.boards import Board
 from binocal.shapes import Float
 from binocal.simulation.layout import printed_extent_m
 
+_EVERY = 4  # pixels
 _ROUNDS = 30  # of fixed points whose error falls a hundredfold each
 
 
@@ -44,6 +45,24 @@ class PrintedShape:
         inside = np.clip(x, self.x_nodes[0], self.x_nodes[-1]), np.clip(y, self.y_nodes[0], self.y_nodes[-1])
         dx, dy = (spline.ev(inside[1], inside[0]) for spline in self._splines)
         return x - dx, y - dy
+
+    def drawn_over_image(self, x: Float[ndarray, "h w"], y: Float[ndarray, "h w"]) -> tuple[ndarray, ndarray]:
+        """The same for the places that neighbouring pixels see, which vary smoothly over the image, at a quarter of the cost.
+
+        The field is looked up at every fourth pixel; a cubic spline over the image is 1e-4 px off where a pitch is 25 pixels.
+        """
+        from scipy.interpolate import RectBivariateSpline
+
+        height, width = x.shape
+        if min(height, width) < 4 * _EVERY:
+            return self.drawn_at(x, y)
+        rows, columns = (np.unique(np.r_[0:n:_EVERY, n - 1]) for n in (height, width))
+        some = np.ix_(rows, columns)
+        drawn = self.drawn_at(x[some], y[some])
+        off = (a - b for a, b in zip(drawn, (x[some], y[some]), strict=True))
+        over = (RectBivariateSpline(rows, columns, field)(np.arange(height), np.arange(width)) for field in off)
+        dx, dy = over
+        return x + dx, y + dy
 
     def height(self, x: ndarray, y: ndarray) -> ndarray:
         """Z of the sheet."""

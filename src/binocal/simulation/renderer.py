@@ -247,7 +247,7 @@ def _board_coordinates(
                 depth = shape.height(x, y) - eye[2]
                 x = np.where(is_hit, eye[0] + depth * along_x, 0.0)
                 y = np.where(is_hit, eye[1] + depth * along_y, 0.0)
-            x, y = shape.drawn_at(x, y)
+            x, y = shape.drawn_over_image(x, y) if is_hit.all() else shape.drawn_at(x, y)
     near = is_hit[:, :-2] & is_hit[:, 1:-1] & is_hit[:, 2:]
     return x, y, ~(near[:-2] & near[1:-1] & near[2:])
 
