@@ -219,7 +219,7 @@ def link_corners(f: Fuzz) -> None:
     n = f.size(40)
     images.link_corners(
         f.image(), f.places(n), f.floats(n, 4, scale=3.0), f.floats(n, scale=50.0), float(f.rng.normal()),
-        has_markers=bool(f.rng.random() < 0.5),
+        has_markers=bool(f.rng.random() < 0.7), is_oblique=bool(f.rng.random() < 0.5),
     )  # fmt: skip
 
 

@@ -49,7 +49,8 @@ def test_faces_are_all_closed_ways_clockwise():
     assert len(marker_grids.find_faces(neighbour, back_ray)[0]) < 12
 
 
-def test_links_beside_markers_are_read_close_to_the_edge(monkeypatch):
+@pytest.mark.parametrize(("is_oblique", "n_neighbours"), [(False, 24), (True, 96)])
+def test_links_beside_markers_are_read_close_to_the_edge(monkeypatch, is_oblique, n_neighbours):
     image, points = make_board(4.0)
     is_corner, rays, contrast = images.read_rings(image, points, 4.0, 6.0, 0.45)
     points, rays, contrast = points[is_corner], rays[is_corner], contrast[is_corner]
@@ -61,8 +62,8 @@ def test_links_beside_markers_are_read_close_to_the_edge(monkeypatch):
         return bool((sign * step > 0.3 * contrast).all())
 
     monkeypatch.setattr(plain_xcorners, "is_edge", is_edge)
-    neighbour, _ = images.link_corners(image, points, rays, contrast, 0.44, has_markers=True)
-    expected, _ = plain_xcorners.link_corners(image, points, rays, contrast, 0.44, n_neighbours=24)
+    neighbour, _ = images.link_corners(image, points, rays, contrast, 0.44, has_markers=True, is_oblique=is_oblique)
+    expected, _ = plain_xcorners.link_corners(image, points, rays, contrast, 0.44, n_neighbours=n_neighbours)
     assert np.array_equal(neighbour, expected) and (neighbour >= 0).sum() > 40
 
 

@@ -192,6 +192,7 @@ def link_corners(
     contrast: Floats,
     max_turn: float,
     has_markers: bool,
+    is_oblique: bool,
     neighbour: Indices,
     back_ray: Indices,
     /,

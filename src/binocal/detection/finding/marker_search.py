@@ -54,6 +54,9 @@ ENOUGH_SHARE = 0.9  # of the corners that should be seen
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
 LEAST_CELL_PX = 0.95  # of a marker's code: below it chance reads as well
 INSIDE_PX = 6.0
+FEW_FACES = (
+    4  # with fewer, corners farther away are tried as neighbours: seen very obliquely the nearest lie in one row
+)
 LEAST_KEPT = 0.7  # of the corners that markers predict; with fewer a note says so
 PROBE = 0.2  # of a face's side, about a corner, to see how large it is there
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
@@ -229,10 +232,19 @@ def _find_faces(
 ) -> tuple[Float[ndarray, "k 2"], _Faces]:
     """Saddles of a level, in its pixels, and the faces between its linked X-corners, in the image's."""
     corners, peaks = find_saddles(saddles, most=most)
-    links = images.link_corners(
-        saddles.smooth, corners.points_px, corners.rays_rad, corners.contrast_dn, MAX_TURN_RAD, has_markers=True
-    )
-    members, is_bright = find_faces(*links)
+    for is_oblique in (False, True):
+        links = images.link_corners(
+            saddles.smooth,
+            corners.points_px,
+            corners.rays_rad,
+            corners.contrast_dn,
+            MAX_TURN_RAD,
+            has_markers=True,
+            is_oblique=is_oblique,
+        )
+        members, is_bright = find_faces(*links)
+        if len(members) >= FEW_FACES:
+            break
     quads = _from_level(corners.points_px, scale)[members]
     is_large = _areas(quads) >= least_side_px**2
     return peaks, _Faces(quads[is_large], is_bright[is_large])
@@ -470,8 +482,9 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
 
 
 def _count_crossings(crossings: Int[ndarray, "m 4 2"], rows: int, columns: int) -> int:
-    inside = np.all((crossings >= 0) & (crossings < (columns, rows)), axis=-1)
-    return len(np.unique(crossings[inside], axis=0))
+    is_met = np.zeros((rows + 2, columns + 2), bool)
+    is_met[crossings[..., 1] + 1, crossings[..., 0] + 1] = True
+    return int(np.count_nonzero(is_met[1:-1, 1:-1]))
 
 
 def _best(sightings: list[MarkerSighting]) -> list[MarkerSighting]:

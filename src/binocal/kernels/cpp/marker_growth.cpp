@@ -318,10 +318,10 @@ class Growth {
         const double limit = std::max(0.25 * shortest, 1.0), off = off_at(map, place), sign = sign_at(column, row);
         if (!std::isfinite(limit) || !std::isfinite(off)) return false;
         int found[kTried], n_found = 0;
-        double away[kTried];
+        double away[kTried];  // squared
         for (std::size_t i = 0; i < n_candidates_; ++i) {
-            const double d = std::hypot(candidates_[2 * i] - expected[0], candidates_[2 * i + 1] - expected[1]);
-            if (!(d < limit) || (n_found == kTried && !(d < away[kTried - 1]))) continue;
+            const double dx = candidates_[2 * i] - expected[0], dy = candidates_[2 * i + 1] - expected[1], d = dx * dx + dy * dy;
+            if (!(d < limit * limit) || (n_found == kTried && !(d < away[kTried - 1]))) continue;
             int k = n_found < kTried ? n_found++ : kTried - 1;
             for (; k > 0 && away[k - 1] > d; --k) away[k] = away[k - 1], found[k] = found[k - 1];
             away[k] = d, found[k] = static_cast<int>(i);

@@ -51,7 +51,7 @@ bool is_edge(const Sampler<Pixel>& read, double x, double y, double way_x, doubl
 // The same where markers are printed beside the edge: read close to it, and at five places.
 template <typename Pixel>
 bool is_marker_edge(const Sampler<Pixel>& read, double x, double y, double way_x, double way_y, double sign, double contrast) {
-    const double length = std::hypot(way_x, way_y), aside = std::min(std::max(0.05, 1.3 / std::max(length, 1.0)), 0.4);
+    const double length = std::sqrt(way_x * way_x + way_y * way_y), aside = std::min(std::max(0.05, 1.3 / std::max(length, 1.0)), 0.4);
     for (double share : {0.15, 0.3, 0.5, 0.7, 0.85}) {
         const double at_x = x + share * way_x, at_y = y + share * way_y;
         const float step = read(at_x - aside * way_y, at_y + aside * way_x) - read(at_x + aside * way_y, at_y - aside * way_x);

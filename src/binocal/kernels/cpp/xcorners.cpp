@@ -15,6 +15,7 @@ constexpr double kPi = 3.14159265358979323846;
 constexpr int kRing = 32;        // samples on a ring: 11 degrees apart, fine enough for sectors of 30 degrees
 constexpr int kNeighbours = 14;  // nearest corners that are tried as partners of a link
 constexpr int kNeighboursOfMarkers = 24;  // markers' codes have saddles of their own
+constexpr int kNeighboursOblique = 96;    // of squares six times as long as high
 
 using Places = nb::ndarray<const double, nb::shape<-1, 2>, nb::device::cpu, nb::c_contig>;
 using FlagsOut = nb::ndarray<bool, nb::device::cpu, nb::c_contig>;
@@ -200,7 +201,9 @@ void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, s
         const double *at = corners.points + 2 * i, contrast = corners.contrast[i];
         for (int other : nearest[i]) {
             if (other < 0) break;
-            const double x = corners.points[2 * other] - at[0], y = corners.points[2 * other + 1] - at[1], length = std::hypot(x, y);
+            const double x = corners.points[2 * other] - at[0], y = corners.points[2 * other + 1] - at[1];
+            // sqrt is faster, and rounds otherwise.
+            const double length = kNearest != kNeighbours ? std::sqrt(x * x + y * y) : std::hypot(x, y);
             double cosine, cosine_back;
             const int ray = nearest_ray(corners.directions[i], x, y, length, cosine);
             if (neighbour[4 * i + ray] >= 0) continue;
@@ -210,7 +213,7 @@ void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, s
             const double weaker = std::min(contrast, corners.contrast[other]);
             if (!(weaker > 0.15 * std::max(contrast, corners.contrast[other]))) continue;
             const double sign = ray % 2 ? -1.0 : 1.0;
-            if (kNearest == kNeighboursOfMarkers ? !is_marker_edge(read, at[0], at[1], x, y, sign, weaker)
+            if (kNearest != kNeighbours ? !is_marker_edge(read, at[0], at[1], x, y, sign, weaker)
                                                  : !is_edge(read, at[0], at[1], x, y, sign, weaker))
                 continue;
             neighbour[4 * i + ray] = other;
@@ -301,7 +304,7 @@ std::size_t grow(const double* points, const std::int64_t* neighbour, const std:
 
 template <typename Pixel>
 void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles& rays, const Doubles& contrast, double max_turn,
-                  bool has_markers, IndicesOut neighbour, IndicesOut back_ray) {
+                  bool has_markers, bool is_oblique, IndicesOut neighbour, IndicesOut back_ray) {
     const std::size_t n = points.shape(0);
     require(rays.size() == 4 * n && contrast.size() == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n, "the arrays' lengths do not match");
     Corners corners{points.data(), rays.data(), contrast.data(), {}, static_cast<int>(n)};
@@ -314,7 +317,8 @@ void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles
             corners.directions[i][2 * k] = std::cos(corners.rays[4 * i + k]);
             corners.directions[i][2 * k + 1] = std::sin(corners.rays[4 * i + k]);
         }
-    if (has_markers) link<kNeighboursOfMarkers>(read, corners, max_turn, to, back);
+    if (has_markers && is_oblique) link<kNeighboursOblique>(read, corners, max_turn, to, back);
+    else if (has_markers) link<kNeighboursOfMarkers>(read, corners, max_turn, to, back);
     else link<kNeighbours>(read, corners, max_turn, to, back);
 }
 
