@@ -175,3 +175,11 @@ def test_the_words_of_the_option():
     ):
         with pytest.raises(typer.BadParameter, match="--known-length"):
             parse_known_length(text)
+
+
+@pytest.mark.parametrize(
+    ("option", "words"), [("--baseline=1m", "leave one out"), ("--reference", "whose length stays")]
+)
+def test_a_length_is_given_once(option, words, capsys):
+    assert main(["recalibrate", "--dataset", "euroc:x", "--known-length", "0:1,2:3,4=1m", option]) == 2
+    assert words in " ".join(capsys.readouterr().err.split())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from binocal.cli import main
 from binocal.datasets import StereoPair
 from binocal.datasets.frames import time_of_name_ns
 from binocal.errors import DegenerateGeometryError
+from binocal.evidence.point_matches import PointMatches
 from binocal.formats import rig_json
 from binocal.geometry import SE3, so3
 from binocal.matching.pairs import PairMatches
@@ -62,8 +64,14 @@ def test_a_rig_that_is_turned_on_the_way(tmp_path, monkeypatch):
 
     source = street_source(tmp_path, 14)
     give(monkeypatch, lambda cameras, pair: match(cameras, pair, 0.1))
-    calls = []
-    found = stream.check_stream(source, stream.StreamOptions(fps=1.0, progress=lambda *a: calls.append(a)))
+    calls, alive = [], []
+
+    def progress(*call):
+        calls.append(call)
+        alive.append(sum(isinstance(thing, PointMatches) for thing in gc.get_objects()))
+
+    found = stream.check_stream(source, stream.StreamOptions(fps=1.0, progress=progress))
+    assert len(calls) == 14 and max(alive) - alive[0] <= 2  # of the pairs before nothing is kept but their turns
     assert [name for name, _ in found.skipped] == ["3"] and "points" in found.skipped[0][1]
     assert len(found.turns) == 13 and found.turns[3].time_s == 4.0 and calls[-1] == ("pairs", 14, 14)
     (jump,) = found.track.jumps

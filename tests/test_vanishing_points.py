@@ -9,13 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from binocal.app.scene_lines import SceneOptions, calibrate_scene
+from binocal.app.scene_lines import SceneOptions as LineOptions
+from binocal.app.scene_lines import calibrate_scene
 from binocal.cameras import Camera, StereoRig
 from binocal.cli import main
 from binocal.datasets import open_dataset
 from binocal.errors import CancelledError
 from binocal.formats import rig_json
 from binocal.geometry import SE3
+from binocal.simulation import SceneOptions, draw_textured_scene, render_scene_image
 from rooms import frame, render_room
 
 SIZE = (480, 360)
@@ -93,9 +95,22 @@ def test_a_wall_seen_face_on_tells_nothing(tmp_path, capsys):
     assert run("vanishing-points", "--images", tmp_path / "wall.png") == 3
 
 
+def test_the_simulators_room_tells_its_camera(tmp_path):
+    """Window frames, tiles and shelves in three directions, seen to either side; measured 270.1 ± 2.8."""
+    plain = Camera("brown4", (400, 300), np.array([270.0, 270, 199.5, 149.5, 0, 0, 0, 0, 0]))
+    scene = draw_textured_scene("room", StereoRig(plain, plain, T), 2, np.random.default_rng(0))
+    for k in range(2):
+        options, rng = SceneOptions(0.7, noise_dn=1.0), np.random.default_rng(k)
+        cv2.imwrite(
+            str(tmp_path / f"{k}.png"), render_scene_image(scene, k, plain, scene.T_left_world[k], options, rng)
+        )
+    found = calibrate_scene(str(tmp_path / "*.png")).intrinsics
+    assert found.values[0] == pytest.approx(270, abs=2) and found.covariance.sigma["f"] < 6
+
+
 def test_a_run_can_be_stopped(folder):
     with pytest.raises(CancelledError):
-        calibrate_scene(str(folder / "room_*.png"), SceneOptions(should_stop=lambda: True))
+        calibrate_scene(str(folder / "room_*.png"), LineOptions(should_stop=lambda: True))
 
 
 @pytest.mark.slow

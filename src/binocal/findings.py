@@ -113,7 +113,7 @@ _KINDS = (
     FindingKind(
         "scene-tells-too-little-kept", _W, "What the scene does not tell was kept as it was",
         "the scene does not tell {what} (standard deviations: turn {turn_sigma_deg:.1f} deg, direction of the translation "
-        "{direction_sigma_deg:.0f} deg): it was kept at the old rig's value; {remedy}.",
+        "{direction_sigma_deg:.0f} deg): {kept}; {remedy}.",
         "take pairs with near and far things all over the image",
     ),
     FindingKind(
@@ -141,6 +141,20 @@ _KINDS = (
         "check the images, their sides and the rig's file; --start none takes no pose for granted", InconsistentViewsError,
     ),
     FindingKind(
+        "pose-unlike-file", _W, "The pose found is far from that of the rig's file",
+        "the right camera is turned by {turn_deg:.1f} deg against the rig's file and the translation points {direction_deg:.0f} deg away from "
+        "it: cameras mounted anew have that, and so do images of a pair that are not of one moment; {remedy}.",
+        "check that both cameras exposed together",
+    ),
+    FindingKind(
+        "cameras-are-others", _R, "The images are not of the cameras given",
+        "the cameras' own parameters do not fit the images: by the best pose matches are {held_px:.2f} px off (RMS), and {pattern_px:.2f} px "
+        "of it, {share_percent:.0f} % of the squares, are a pattern that only other cameras would not leave: the rig's file is of other "
+        "cameras, or the images were cropped, resized or rectified; {remedy}.",
+        "give the file of the cameras that took these images, and images as they take them; or calibrate them anew with a board",
+        InconsistentViewsError,
+    ),
+    FindingKind(
         "pairs-contradict", _R, "Pairs of images show different rigs",
         "{n_odd} of {n_pairs} pairs do not fit together: {what}; {remedy}.",
         "give pairs of one moment each, taken by one rig, left images as left", InconsistentViewsError,
@@ -149,6 +163,13 @@ _KINDS = (
         "pairs-left-out", _W, "Pairs of images were left out",
         "{n_odd} of {n_pairs} pairs were left out: {what}; {remedy}.",
         "see what is wrong with them, or leave them out",
+    ),
+    FindingKind(
+        "pairs-disagree", _W, "Pairs of images differ by more than their matches' errors",
+        "the pairs do not show one pose: with a pose of its own each, matches would be {apart_px:.2f} px nearer (RMS, {share_percent:.0f} % of "
+        "the squares, {over_regions:.0f} times what the errors of matches explain): the cameras moved between the exposures of a pair, or the "
+        "rig flexes; {remedy}.",
+        "check that both cameras expose together, or take pairs while they stand still",
     ),
     FindingKind(
         "matches-ask-for-other-cameras", _W, "Matches would fit better with other cameras",

@@ -74,6 +74,38 @@ def test_kalibr_targets_are_read(tmp_path):
     assert load_board(str(path)) == parse_board("chessboard:9x6:30mm")
 
 
+def test_other_families_and_first_ids_are_read(tmp_path):
+    path = tmp_path / "target.yaml"
+    path.write_text(
+        "target_type: 'aprilgrid'\ntagCols: 4\ntagRows: 3\ntagSize: 0.03\ntagSpacing: 0.3\nstartId: 24\ntagFamily: 25h9\n"
+    )
+    with pytest.raises(FormatError, match="25h9 has 35 tags, but the board needs ids up to 35"):
+        load_board(str(path))
+    path.write_text(path.read_text().replace("25h9", "36h10"))
+    board = load_board(str(path))
+    assert (
+        board == parse_board("aprilgrid:4x3:30mm:0.3:tag36h10:24") and board.marker_dictionary == "DICT_APRILTAG_36h10"
+    )
+    assert parse_board("aprilgrid:4x3:30mm:0.3:24").first_tag_id == 24
+    path.write_text(path.read_text().replace("24", "-1"))
+    with pytest.raises(FormatError, match="startId must be a whole number"):
+        load_board(str(path))
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("aprilgrid:4x3:30mm:0.3:tag99h1", "not a known tag family"),
+        ("aprilgrid:4x3:30mm:0.3:24:24", "too many fields"),
+        ("charuco:8x6:30mm:22mm:DICT_5X5_50:x", "no first id"),
+        ("charuco:8x6:30mm:22mm:DICT_5X5_50:40", "50 markers, but the board bears 64"),
+    ],
+)
+def test_bad_families_and_ids_are_named(spec, words):
+    with pytest.raises(ValueError, match=words):
+        parse_board(spec)
+
+
 def test_a_bad_board_file_is_named(tmp_path):
     with pytest.raises(FormatError, match="no such file"):
         load_board(str(tmp_path / "none.yaml"))
@@ -141,7 +173,7 @@ def test_a_board_without_a_spec_needs_a_dictionary_too():
         ("aprilgrid:6x6:88mm:inf", "gap between tags"),
         ("aprilgrid:6x6:88mm:-1", "gap between tags"),
         ("aprilgrid:6x6:88mm:third", "gap between tags"),
-        ("aprilgrid:30x30:88mm:0.3", "more tags than the 587"),
+        ("aprilgrid:30x30:88mm:0.3", "has 587 tags, but the board needs ids up to 899"),
         ("chessboard:99999x99999:30mm", "too large"),
         ("chessboard:" + "9" * 5000 + "x6:30mm", "too large"),
         ("chessboard:9x6:30m", r"pitch of 30 m is not plausible.*30mm"),
@@ -211,13 +243,17 @@ LENGTHS = st.floats(1e-3, 2.0).map(lambda metres: round(metres, 6))
 def boards(draw):
     """A board of any kind that a SPEC can say."""
     kind = draw(st.sampled_from(("chessboard", "charuco", "aprilgrid", "circles", "acircles")))
-    columns, rows = draw(st.integers(2, 20)), draw(st.integers(3, 20))
+    columns, rows = draw(st.integers(3, 20)), draw(st.integers(3, 20))
     pitch_m, is_metric = draw(LENGTHS), draw(st.booleans()) if kind != "charuco" else True
     given_board = {"is_metric": is_metric}
     if kind == "charuco":
         given_board |= {"marker_m": round(pitch_m * draw(st.floats(0.3, 0.9)), 7), "dictionary": "DICT_5X5_250"}
     if kind == "aprilgrid":
         given_board |= {"dictionary": "tag36h11", "tag_gap_ratio": round(draw(st.floats(0.1, 0.9)), 3)}
+        if columns * rows < 300:
+            given_board |= {"dictionary": draw(st.sampled_from(("tag36h11", "tag36h10")))}
+    if kind in ("charuco", "aprilgrid") and columns * rows < 300:
+        given_board |= {"first_tag_id": draw(st.integers(0, 80))}
     return Board(kind, columns, rows, pitch_m if is_metric else 1.0, **given_board)
 
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches, intrinsics_covariance
+from binocal.calibrators.natural_untold import as_seen_from, untold_finding, with_untold_kept
 from binocal.errors import DegenerateGeometryError, InconsistentViewsError
 from binocal.evidence.point_matches import PointMatches
 from binocal.geometry import SE3, so3
 from binocal.matching.relative_pose import estimate_relative_pose
 from binocal.result import Covariance
 from binocal.simulation import MatchDistribution, sample_match_problems, simulate_matches
+from binocal.solvers.epipolar import EpipolarProblem
 from binocal.solvers.relative_pose import RelativePose
 from rigs import street_rig
 
@@ -90,12 +93,38 @@ def test_what_a_far_scene_does_not_tell_is_kept_or_refused():
     old = SE3(turned(0, 0.5).R, T_RIGHT_LEFT.t)
     kept = solve(far, old=old)
     assert [f.code for f in kept.findings] == ["scene-tells-too-little-kept"]
-    rotation_deg, direction_deg = difference_deg(kept)
-    assert rotation_deg < 0.1 and direction_deg < 0.01
+    assert "the direction of T (" in kept.findings[0].text and "kept at the old rig's value" in kept.findings[0].text
+    np.testing.assert_allclose(kept.rig.T_right_left.t / 0.54, old.t / np.linalg.norm(old.t), atol=1e-12)
+    assert difference_deg(kept)[0] < 0.1
     # where the direction is kept, the angles are told as they are from there
     kept = solve(far, old=SE3(turned(1, 1.0).R, so3.exp(np.radians([0.0, 0.5, 0.8])) @ T_RIGHT_LEFT.t))
     turn = so3.log(kept.rig.T_right_left.R @ T_RIGHT_LEFT.R.T)
     assert np.abs(turn / [kept.covariance.sigma[f"rotation.{a}"] for a in "xyz"]).max() < 3.5
+
+
+def test_of_what_is_not_told_apart_the_combination_that_is_kept_is_stated():
+    """Yaw and the forward part of T: the sum of their changes with the factors of the text is 0, and neither change is."""
+    old = RelativePose.of(turned(0, 0.3))
+    matches = street(np.random.default_rng(3), 300, 0.1)
+    problem, _ = EpipolarProblem.of_matches(cameras(), matches)
+    untold = as_seen_from(np.array([[0.0], [0.6], [0.0], [0.8], [0.0]]), old, old)
+    found = with_untold_kept(problem, untold, old, 0.1)
+    change_deg = np.degrees(old.step_to(found))
+    assert abs(0.6 * change_deg[1] / 1.0 + 0.8 * change_deg[3] / 12.0) < 1e-10 and abs(change_deg[1]) > 1e-4
+    said = untold_finding(np.eye(23), untold, old, is_kept=True)
+    part = re.findall(r"the \w+ part of T", said.text)[0]
+    terms = re.findall(r"([+-][0-9.]+) (yaw|the \w+ part of T)", said.figures["kept"])
+    assert [word for _, word in terms] == ["yaw", part] and f"yaw and {part} apart" in said.text
+    assert np.abs([float(factor) for factor, _ in terms]) == pytest.approx([0.6, 0.8 / 12], abs=5e-4)
+
+
+def test_what_is_not_told_by_itself_stays_exactly():
+    old = RelativePose.of(turned(0, 0.3))
+    problem, _ = EpipolarProblem.of_matches(cameras(), street(np.random.default_rng(3), 300, 0.1))
+    untold = as_seen_from(np.array([[0.02], [1.0], [-0.03], [0.05], [0.02]]), old, old)
+    change = old.step_to(with_untold_kept(problem, untold, old, 0.1))
+    assert abs(change[1]) < 1e-14 and np.abs(change).max() > 1e-4
+    assert "does not tell yaw (" in untold_finding(np.eye(23), untold, old, is_kept=True).text
 
 
 def test_pairs_that_contradict_are_named():

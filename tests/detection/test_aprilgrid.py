@@ -9,7 +9,7 @@ import pytest
 from binocal import detect
 from binocal.boards import parse_board
 from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
-from binocal.detection.detect import stretch
+from binocal.detection.detect import stretch_8_bit
 
 SPEC = "aprilgrid:5x4:40mm:0.3"
 
@@ -26,7 +26,7 @@ def test_tags_of_both_borders(shoot, border_bits):
 def test_ids_that_run_from_the_top_are_read_in_the_boards_order_too(shoot):
     shot = shoot(SPEC, size_wh=(960, 720))
     upside_down = np.ascontiguousarray(shot.image[::-1, ::-1])
-    found, layout = detect_aprilgrid(upside_down, stretch(upside_down)[0], shot.board)
+    found, layout = detect_aprilgrid(upside_down, stretch_8_bit(upside_down)[0], shot.board)
     assert layout is not None and layout.is_bottom_up  # turning the image does not turn the print
     back = np.array([959, 719]) - found.points_px
     assert np.nanmax(np.abs(back - shot.corners_px)) < 0.3
@@ -34,10 +34,10 @@ def test_ids_that_run_from_the_top_are_read_in_the_boards_order_too(shoot):
 
 def test_a_layout_that_is_given_is_taken(shoot):
     shot = shoot(SPEC, size_wh=(960, 720))
-    _, proved = detect_aprilgrid(shot.image, stretch(shot.image)[0], shot.board)
+    _, proved = detect_aprilgrid(shot.image, stretch_8_bit(shot.image)[0], shot.board)
     assert isinstance(proved, TagLayout)
     other = replace(proved, turns=(proved.turns + 1) % 4)
-    found, _ = detect_aprilgrid(shot.image, stretch(shot.image)[0], shot.board, other)
+    found, _ = detect_aprilgrid(shot.image, stretch_8_bit(shot.image)[0], shot.board, other)
     assert not found.is_found and "do not lie as on a 5x4 grid" in found.reason
 
 
@@ -65,6 +65,22 @@ def test_one_stray_tag_is_left_out(shoot):
     image = shot.image.copy()
     image[10:100, 860:950] = cv2.copyMakeBorder(drawn, 10, 10, 10, 10, cv2.BORDER_CONSTANT, value=235)
     found = detect(image, shot.board)
-    assert found.is_found and "a tag lies elsewhere" in found.note, found.reason
+    assert found.is_found, found.reason
     assert found.is_seen.sum() >= 0.9 * clean.is_seen.sum()
     assert np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.5
+
+
+def test_an_inverted_print_is_found_and_a_mirror_image_named(shoot):
+    shot = shoot(SPEC, size_wh=(960, 720))
+    found = detect(255 - shot.image, shot.board)
+    assert found.is_seen.mean() > 0.97 and np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.1, found.reason
+    mirrored = detect(np.ascontiguousarray(shot.image[:, ::-1]), shot.board)
+    assert not mirrored.is_found and "mirrored" in mirrored.reason
+
+
+def test_another_family_from_another_id_on(shoot):
+    shot = shoot("aprilgrid:5x4:40mm:0.3:tag25h9:12", size_wh=(960, 720))
+    found = detect(shot.image, shot.board)
+    assert found.is_seen.mean() > 0.97, found.reason
+    # Only tag36h11's own up is known: of others OpenCV may hold it turned, which the layout allows for.
+    assert np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.2

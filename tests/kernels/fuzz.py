@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 
 from binocal import kernels
-from binocal.kernels import _kernel, corner_fits, image_lens, images, library_words, rectified_maps, template_match
+from binocal.kernels import (
+    _kernel,
+    corner_fits,
+    image_lens,
+    images,
+    library_words,
+    marker_grids,
+    rectified_maps,
+    template_match,
+)
 
 ROUNDS = int(os.environ.get("BINOCAL_FUZZ_ROUNDS", "300"))
 SEED = int(os.environ.get("BINOCAL_FUZZ_SEED", "0"))
@@ -209,7 +218,59 @@ def follow_edges(f: Fuzz) -> None:
 def link_corners(f: Fuzz) -> None:
     n = f.size(40)
     images.link_corners(
-        f.image(), f.places(n), f.floats(n, 4, scale=3.0), f.floats(n, scale=50.0), float(f.rng.normal())
+        f.image(), f.places(n), f.floats(n, 4, scale=3.0), f.floats(n, scale=50.0), float(f.rng.normal()),
+        has_markers=bool(f.rng.random() < 0.5),
+    )  # fmt: skip
+
+
+def find_faces(f: Fuzz) -> None:
+    n = f.size(20)
+    neighbour = f.rng.integers(-2, n + (1 if f.misfit else 0), (n, 4)) if n else np.empty((0, 4), np.int64)
+    back = f.rng.integers(-1 if f.misfit else 0, 4, (n, 4))
+    marker_grids.find_faces(neighbour.astype(np.int64), back.astype(np.int64))
+
+
+def field_lens(f: Fuzz) -> marker_grids.FieldLens:
+    cx, cy, f_px = f.floats(3, scale=300.0)[:3] if not f.misfit else (319.5, 239.5, 300.0)
+    return marker_grids.FieldLens(float(cx), float(cy), abs(float(f_px)))
+
+
+def lines(f: Fuzz) -> marker_grids.Lines:
+    x, y = (np.cumsum(np.abs(f.floats(f.size(6)))) for _ in range(2))
+    return marker_grids.Lines(x, y, abs(float(f.floats(1)[0])) if not f.misfit else 1.0)
+
+
+def read_cells(f: Fuzz) -> None:
+    marker_grids.read_cells(
+        f.image(), f.places(4 * f.size(5)).reshape(-1, 4, 2), f.floats(f.size(6), 2, 2), field_lens(f)
+    )
+
+
+def vote_on_tags(f: Fuzz) -> None:
+    n = f.size(9)
+    marker_grids.vote_on_tags(f.places(4 * n).reshape(-1, 4, 2), f.floats(n, 4, 2, scale=3.0), field_lens(f), 1.0)
+
+
+def predict_places(f: Fuzz) -> None:
+    on = lines(f)
+    known = f.places(len(on.x) * len(on.y)).reshape(len(on.y), len(on.x), 2)
+    marker_grids.predict_places(on, known, field_lens(f), f.floats(f.size(5), 2, scale=3.0))
+
+
+def predict_each(f: Fuzz) -> None:
+    on = lines(f)
+    shape = len(on.y), len(on.x)
+    marker_grids.predict_each(
+        on, f.places(shape[0] * shape[1]).reshape(*shape, 2), field_lens(f), np.abs(f.floats(*shape))
+    )
+
+
+def grow_lattice(f: Fuzz) -> None:
+    on = lines(f)
+    known = f.places(len(on.x) * len(on.y)).reshape(len(on.y), len(on.x), 2)
+    known[f.rng.random(known.shape[:2]) < 0.3] = np.nan
+    marker_grids.grow_lattice(
+        f.image(), on, 1.0, abs(float(f.rng.normal())), known, f.places(f.size(30)), field_lens(f)
     )
 
 
@@ -301,7 +362,8 @@ def match_templates(f: Fuzz) -> None:
 FUNCTIONS = [
     accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
     compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
-    follow_edges, link_corners, grow_groups, fit_corners, fit_image_lens, pool_corners, rectified_map,
+    follow_edges, link_corners, find_faces, read_cells, vote_on_tags, predict_places, predict_each, grow_lattice,
+    grow_groups, fit_corners, fit_image_lens, pool_corners, rectified_map,
     reduce_stereo, solve_definite, caught_words, match_templates,
 ]  # fmt: skip
 

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from binocal.app.known_lengths import KnownLength, measure_known_lengths, pair_called
-from binocal.app.natural_drift import AGAINST_RIG, Drift, depth_error_percent, drift_of, reference_document
+from binocal.app.natural_drift import (
+    AGAINST_RIG,
+    Drift,
+    depth_error_percent,
+    drift_of,
+    made_by_recalibrate,
+    reference_document,
+)
 from binocal.app.pair_choice import choose_pairs
 from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
@@ -53,6 +60,8 @@ class NaturalSource:
     covariance: Covariance | None = None
     reference: Mapping[str, Any] | None = None
     length_from: str = "the old rig"
+    made: Mapping[str, Any] | None = None
+    """The same of a rig that is itself a result of ``recalibrate``."""
     findings: tuple[Finding, ...] = ()
     """What the data set has to say of its files."""
 
@@ -146,6 +155,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         source.intrinsics,
         lambda found: estimate_relative_pose(cameras, found.left_px, found.right_px),
         options.seed,
+        filed=source.rig.T_right_left,
         calibrator=options.calibrator,
     )
     calibration = calibrate_from_matches(matches, request)
@@ -153,7 +163,7 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
         calibration = measure_known_lengths(calibration, source.pairs, options.known_lengths)
     calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))
     right = _right_matches(cameras, calibration, matches)
-    drift = drift_of(calibration, source.rig, source.covariance, source.reference)
+    drift = drift_of(calibration, source.rig, source.covariance, source.reference, source.made)
     elapsed = {"matching": matched - started, "solve": time.perf_counter() - matched}
     return NaturalRun(
         calibration, row_figures(source.rig, right), row_figures(calibration.rig, right), drift, right, elapsed
@@ -228,9 +238,7 @@ def source_of_part(part: Dataset, given: StereoCalibration | None) -> NaturalSou
         DataError: Neither it nor a rig says what its cameras are.
     """
     if given is not None:
-        return NaturalSource(
-            part.stereo_pairs, given.rig, given.covariance, given.extra.get(REFERENCE), findings=part.findings
-        )
+        return _source_of(part.stereo_pairs, given, part.findings)
     if part.rig is None:
         raise DataError(f"{part.path}: nothing says what cameras took these images; give the rig with --rig.")
     return NaturalSource(part.stereo_pairs, part.rig, length_from=part.scale_source, findings=part.findings)
@@ -248,4 +256,12 @@ def source_of_images(left: str, right: str, given: StereoCalibration) -> Natural
     if pairing.ignored:
         names = name_some(path.name for path, _ in pairing.ignored)
         findings = (finding("dataset-frames-left-out", n_out=len(pairing.ignored), n_pairs=len(pairs), names=names),)
-    return NaturalSource(pairs, given.rig, given.covariance, given.extra.get(REFERENCE), findings=findings)
+    return _source_of(pairs, given, findings)
+
+
+def _source_of(pairs: Sequence[StereoPair], given: StereoCalibration, findings: tuple[Finding, ...]) -> NaturalSource:
+    """Pairs of a rig that was given."""
+    reference = given.extra.get(REFERENCE)
+    return NaturalSource(
+        pairs, given.rig, given.covariance, reference, made=made_by_recalibrate(given), findings=findings
+    )

@@ -18,6 +18,8 @@ from binocal.shapes import Float
 DRIFT_SIGMAS = 4.0  # twelve regions of one pair leave heavier tails than a normal's 3
 DEPTHS_M = (1.0, 5.0, 20.0)
 ANGLES = ("pitch", "yaw", "roll")
+MADE_OF = {"random_rotation_covariance_rad2", "random_direction_covariance", "pair_scatter_rad2", "n_matches"}
+"""What the provenance of a result of ``recalibrate`` holds, and no other's."""
 AGAINST_RIG, AGAINST_REFERENCE = "the rig as given", "the file's own reference"
 PAIR_SCATTER_DEG = np.array([0.012, 0.012, 0.012])
 """By which single pairs differ beside the errors of their matches, at the least: KITTI's grey frames and BumbleBee2 scenes do, in pitch."""
@@ -69,19 +71,24 @@ def depth_error_percent(rig: StereoRig, drift: Drift) -> dict[str, float]:
 
 
 def drift_of(
-    calibration: StereoCalibration, rig: StereoRig, known: Covariance | None, reference: Mapping[str, Any] | None
+    calibration: StereoCalibration,
+    rig: StereoRig,
+    known: Covariance | None,
+    reference: Mapping[str, Any] | None,
+    made: Mapping[str, Any] | None = None,
 ) -> Drift:
-    """Against the reference, whose intrinsics are the same, what matches and pairs differ by counts; against the rig, all of it."""
+    """Against the reference, whose intrinsics are the same, what matches and pairs differ by counts; against the rig, all of it.
+
+    ``made``: the reference document of a rig that is itself a result of ``recalibrate``. Its pose bears the errors of the same
+    intrinsics, which count once, to the extent that the scenes tell them differently; how single pairs differ counts too.
+    """
     T = calibration.rig.T_right_left
     unit = T.t / np.linalg.norm(T.t)
     own = calibration.provenance
+    random = np.array(own["random_rotation_covariance_rad2"])
     if reference is not None:
-        R, t, random = reference_values(reference)
-        scatter = np.maximum.reduce(
-            [np.radians(PAIR_SCATTER_DEG) ** 2, own["pair_scatter_rad2"], _values(reference, "pair_scatter_rad2", (3,))]
-        )
-        pairs = 1 / max(len(calibration.views), 1) + 1 / max(len(reference.get("pairs", ())), 1)
-        covariance = np.array(own["random_rotation_covariance_rad2"]) + random + np.diag(scatter * pairs)
+        R, t, of_reference = reference_values(reference)
+        covariance = random + of_reference + _pair_scatter(calibration, reference)
         of_direction = None
         if "random_direction_covariance" in reference:
             stated = _values(reference, "random_direction_covariance", (3, 3))
@@ -94,10 +101,54 @@ def drift_of(
         if known is not None and "rotation.x" in known.names:
             covariance = covariance + known.block("rotation")
             of_direction = of_direction + _direction_covariance(rig, known)
+        if known is not None and made is not None:
+            in_common = covariance_in_common(calibration.covariance, known)
+            across = _across(calibration.rig) @ in_common[3:, 3:] @ _across(rig).T
+            covariance = _no_less(covariance - in_common[:3, :3] - in_common[:3, :3].T, random)
+            covariance = covariance + _pair_scatter(calibration, made)
+            of_direction = _no_less(of_direction - across - across.T, np.array(own["random_direction_covariance"]))
     sigma = np.degrees(np.sqrt(np.diagonal(covariance)))
     other = t / np.linalg.norm(t)
     direction = float(np.degrees(np.arccos(np.clip(unit @ other, -1, 1))))
     return Drift(turn_between(R, T.R), sigma, direction, against, _direction_sigma_deg(unit, other, of_direction))
+
+
+def covariance_in_common(new: Covariance, old: Covariance) -> Float[ndarray, "6 6"]:
+    """Covariance of one estimate's rotation and translation with the other's: both bear the errors of the same intrinsics.
+
+    Both hold the covariance of their pose with the intrinsics, K; that of the intrinsics, C, is the same: K_new C⁻¹ K_oldᵀ.
+    """
+    pose = [f"{part}.{axis}" for part in ("rotation", "translation") for axis in "xyz"]
+    names = [name for name in new.names if name in old.names and name.startswith(("left.", "right."))]
+    if not names or not set(pose) <= set(new.names) & set(old.names):
+        return np.zeros((6, 6))
+    place = [[covariance.names.index(name) for name in names] for covariance in (new, old)]
+    rows = [[covariance.names.index(name) for name in pose] for covariance in (new, old)]
+    C = old.matrix[np.ix_(place[1], place[1])]
+    size = np.sqrt(np.maximum(np.diagonal(C), 1e-300))
+    inverse = np.linalg.pinv(C / np.outer(size, size), rcond=1e-9, hermitian=True)
+    K_new, K_old = (c.matrix[np.ix_(r, p)] / size for c, r, p in zip((new, old), rows, place, strict=True))
+    in_common: Float[ndarray, "6 6"] = K_new @ inverse @ K_old.T
+    return in_common
+
+
+def _no_less(covariance: Float[ndarray, "3 3"], least: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
+    """With no variance below that of ``least``: what is in common is subtracted, and rounding may leave nothing."""
+    short = np.maximum(np.diagonal(least) - np.diagonal(covariance), 0.0)
+    return covariance + np.diag(short)
+
+
+def _pair_scatter(calibration: StereoCalibration, other: Mapping[str, Any]) -> Float[ndarray, "3 3"]:
+    """Of the rotation, by how single pairs differ beside their matches: those of this calibration and those of the other."""
+    scatter = np.maximum.reduce(
+        [
+            np.radians(PAIR_SCATTER_DEG) ** 2,
+            calibration.provenance["pair_scatter_rad2"],
+            _values(other, "pair_scatter_rad2", (3,)),
+        ]
+    )
+    pairs = 1 / max(len(calibration.views), 1) + 1 / max(len(other.get("pairs", ())), 1)
+    return np.diag(scatter * pairs)
 
 
 def _values(reference: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> ndarray:
@@ -117,10 +168,14 @@ def _direction_covariance(rig: StereoRig, covariance: Covariance) -> Float[ndarr
     """Of the translation's unit vector; 0 where nothing is said of the translation."""
     if "translation.x" not in covariance.names:
         return np.zeros((3, 3))
+    return _across(rig) @ covariance.block("translation") @ _across(rig).T
+
+
+def _across(rig: StereoRig) -> Float[ndarray, "3 3"]:
+    """The derivative of the translation's unit vector by the translation."""
     length = rig.baseline_m
     unit = rig.T_right_left.t / length
-    across = (np.eye(3) - np.outer(unit, unit)) / length
-    return across @ covariance.block("translation") @ across
+    return (np.eye(3) - np.outer(unit, unit)) / length
 
 
 def _direction_sigma_deg(
@@ -135,6 +190,11 @@ def _direction_sigma_deg(
         return float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
     way = way / length
     return float(np.degrees(np.sqrt(max(way @ covariance @ way, 0.0))))
+
+
+def made_by_recalibrate(rig: StereoCalibration) -> dict[str, Any] | None:
+    """The reference document of a rig that is a result of ``recalibrate``; None of any other."""
+    return reference_document(rig) if set(rig.provenance) >= MADE_OF else None
 
 
 def reference_document(calibration: StereoCalibration) -> dict[str, Any]:

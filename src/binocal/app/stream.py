@@ -14,6 +14,7 @@ from binocal.app.natural_drift import (
     AGAINST_RIG,
     ANGLES,
     Drift,
+    covariance_in_common,
     depth_error_percent,
     reference_values,
     turn_between,
@@ -64,7 +65,7 @@ class _Measurement:
     turn: MeasuredTurn
     direction: Float[ndarray, "3"]
     common_variance_rad2: Float[ndarray, "3"]
-    """Of the turn, by the intrinsics, which all pairs have in common."""
+    """Of the turn, by the intrinsics, which all pairs have in common; less twice what the rig as given has of the same error."""
 
 
 def check_stream(source: NaturalSource, options: StreamOptions | None = None) -> StreamRun:
@@ -132,6 +133,8 @@ def _measure(
     _refuse_untold(found)
     random = np.diagonal(np.array(found.provenance["random_rotation_covariance_rad2"]))
     common = np.maximum(np.diagonal(found.covariance.block("rotation")) - random, 0.0)
+    if source.covariance is not None and source.made is not None and source.reference is None:
+        common = common - 2 * np.diagonal(covariance_in_common(found.covariance, source.covariance))[:3]
     T = found.rig.T_right_left
     turn = MeasuredTurn(group[0].name, turn_between(start.R, T.R), np.degrees(np.sqrt(random)), time_s)
     return _Measurement(turn, T.t, common)
@@ -140,7 +143,7 @@ def _measure(
 def _refuse_untold(found: StereoCalibration) -> None:
     """Raises CalibrationError: an angle was kept as it was, which is no measurement."""
     for one in found.findings:
-        if one.code == "scene-tells-too-little-kept" and one.figures["what"] in ANGLES:
+        if one.code == "scene-tells-too-little-kept" and one.figures["least_told"] in ANGLES:
             raise CalibrationError(one.text)
 
 
@@ -152,7 +155,9 @@ def _drift(
     common = np.zeros(3)
     if source.reference is None:
         common = np.median([one.common_variance_rad2 for one in measured], axis=0)
-    sigma = np.sqrt(track.level_sigma_deg[-1] ** 2 + of_regions**2 + np.degrees(np.sqrt(common + was)) ** 2)
+    sigma = np.sqrt(
+        track.level_sigma_deg[-1] ** 2 + of_regions**2 + np.degrees(np.sqrt(np.maximum(common + was, 0.0))) ** 2
+    )
     direction = np.sum([one.direction for one in measured], axis=0)
     cosine = direction @ start.t / np.linalg.norm(direction) / np.linalg.norm(start.t)
     against = AGAINST_RIG if source.reference is None else AGAINST_REFERENCE

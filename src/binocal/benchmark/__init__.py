@@ -42,6 +42,12 @@ def _detection(**options: Any) -> dict[str, Any]:
     return run_detection_benchmark(**options)
 
 
+def _boards(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.marker_boards import run_marker_board_benchmark
+
+    return run_marker_board_benchmark(**options)
+
+
 def _drift(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.drift import run_drift_benchmark
 
@@ -128,6 +134,7 @@ def _uncertainty(**options: Any) -> dict[str, Any]:
 
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "agent": _agent,
+    "boards": _boards,
     "corners": _corners,
     "coverage": _coverage,
     "detection": _detection,

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy import ndarray
 
-from binocal.boards.dictionaries import TAG36H11_SIZE, check_dictionary
+from binocal.boards.dictionaries import check_dictionary, check_tag_family
 from binocal.shapes import Float, Int
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
@@ -61,11 +61,11 @@ class Board:
     marker_m: float = 0.0
     """Side of a ChArUco marker, metres."""
     dictionary: str = ""
-    """ChArUco: name of the ArUco dictionary. AprilGrid: the tag family, ``tag36h11``."""
+    """ChArUco: name of the ArUco dictionary. AprilGrid: the tag family; empty: ``tag36h11``."""
     tag_gap_ratio: float = 0.3
     """AprilGrid: gap between tags over tag side (Kalibr's ``tagSpacing``)."""
     first_tag_id: int = 0
-    """AprilGrid: the lowest id, that of the bottom-left tag; see :attr:`tag_ids`."""
+    """The lowest id. AprilGrid: that of the bottom-left tag, see :attr:`tag_ids`. ChArUco: that of the first marker."""
     circle_diameter_ratio: float = 0.5
     """Circle grids: diameter over the distance to the nearest neighbour; matters to rendering only."""
 
@@ -90,7 +90,11 @@ class Board:
         if self.kind == "charuco":
             if not 0 < self.marker_m < self.pitch_m:
                 raise ValueError(f"ChArUco markers ({self.marker_m} m) must be smaller than squares ({self.pitch_m} m)")
-            check_dictionary(self.dictionary)
+            check_dictionary(
+                self.dictionary, self.first_tag_id + self.columns * self.rows // 2 if self.first_tag_id else 0
+            )
+        if self.first_tag_id < 0 or (self.first_tag_id and self.kind not in ("charuco", "aprilgrid")):
+            raise ValueError(f"a first id belongs to boards with markers, and is 0 or more; got {self.first_tag_id}")
         if self.kind == "aprilgrid":
             self._check_tags()
 
@@ -100,10 +104,7 @@ class Board:
                 f"the gap between tags over their side must be positive and at most {LARGEST_TAG_GAP_RATIO:g}, "
                 f"such as 0.3; got {self.tag_gap_ratio:g}"
             )
-        if self.first_tag_id < 0 or self.first_tag_id + self.columns * self.rows > TAG36H11_SIZE:
-            raise ValueError(
-                f"board {self.columns}x{self.rows} has more tags than the {TAG36H11_SIZE} of the family tag36h11"
-            )
+        check_tag_family(self.dictionary or "tag36h11", self.first_tag_id + self.columns * self.rows)
 
     @staticmethod
     def from_spec(spec: str) -> Board:
@@ -123,6 +124,13 @@ class Board:
     def allows_partial(self) -> bool:
         """True where every point carries its identity, so that a partly visible board can be used."""
         return self.kind in ("charuco", "aprilgrid")
+
+    @property
+    def marker_dictionary(self) -> str:
+        """OpenCV's name of the markers' dictionary; empty for boards without markers."""
+        if self.kind == "aprilgrid":
+            return f"DICT_APRILTAG_{(self.dictionary or 'tag36h11').removeprefix('tag')}"
+        return self.dictionary
 
     @property
     def tag_ids(self) -> Int[ndarray, "tags"]:
@@ -187,14 +195,14 @@ def parse_board(spec: str) -> Board:
     if max(len(size[1]), len(size[2])) > len(str(MOST_POINTS)):
         raise ValueError(f"board {_shown(spec)!r} is too large: no board has more than {MOST_POINTS} points")
     columns, rows = int(size[1]), int(size[2])
-    most = {"charuco": 4, "aprilgrid": 3}.get(kind, 2)
+    most = {"charuco": 5, "aprilgrid": 5}.get(kind, 2)
     if len(fields) > most:
         raise ValueError(f"board {_shown(spec)!r} has too many fields; examples: {_EXAMPLES}")
     pitch_m, is_metric = parse_length(fields[1]) if len(fields) > 1 else (1.0, False)
     scale = 1.0 if is_metric else pitch_m
     pitch_m = pitch_m if is_metric else 1.0
     if kind == "charuco":
-        if len(fields) != 4:
+        if len(fields) < 4:
             raise ValueError(
                 f"board {_shown(spec)!r} needs square, marker and dictionary: charuco:11x8:30mm:22mm:DICT_5X5_50"
             )
@@ -205,11 +213,21 @@ def parse_board(spec: str) -> Board:
             raise ValueError(
                 f"board {_shown(spec)!r}: {_shown(fields[3])!r} is not an ArUco dictionary such as DICT_5X5_50"
             )
-        check_dictionary(fields[3], columns * rows // 2)
-        return Board(kind, columns, rows, pitch_m, is_metric, marker_m / scale, fields[3])
+        first_id = _parse_id(fields[4], spec) if len(fields) > 4 else 0
+        check_dictionary(fields[3], first_id + columns * rows // 2)
+        return Board(kind, columns, rows, pitch_m, is_metric, marker_m / scale, fields[3], first_tag_id=first_id)
     if kind == "aprilgrid":
         gap = _parse_gap(fields[2]) if len(fields) > 2 else 0.3
-        return Board(kind, columns, rows, pitch_m, is_metric, dictionary="tag36h11", tag_gap_ratio=gap)
+        more = fields[3:]
+        family = more.pop(0) if more and not more[0].isdigit() else "tag36h11"
+        first_id = _parse_id(more.pop(0), spec) if more else 0
+        if more:
+            raise ValueError(
+                f"board {_shown(spec)!r} has too many fields; after the gap come a tag family and a first id"
+            )
+        return Board(
+            kind, columns, rows, pitch_m, is_metric, dictionary=family, tag_gap_ratio=gap, first_tag_id=first_id
+        )
     return Board(kind, columns, rows, pitch_m, is_metric)  # type: ignore[arg-type]
 
 
@@ -219,6 +237,12 @@ def _parse_gap(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
+
+
+def _parse_id(text: str, spec: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,5}", text):
+        raise ValueError(f"board {_shown(spec)!r}: {_shown(text)!r} is no first id of its markers, such as 24")
+    return int(text)
 
 
 def format_length(length_m: float) -> str:
@@ -231,13 +255,8 @@ def format_board(board: Board) -> str:
     """SPEC text of a board, the inverse of :func:`parse_board`.
 
     Not carried, because rendering alone needs it: the circles' diameter.
-
-    Raises:
-        ValueError: The board has a first tag id or tag family that a SPEC cannot say.
     """
     spec = f"{board.kind}:{board.columns}x{board.rows}"
-    if board.kind == "aprilgrid" and (board.first_tag_id != 0 or board.dictionary != "tag36h11"):
-        raise ValueError("a SPEC has no place for a first tag id other than 0 or a family other than tag36h11")
     needs_length = board.is_metric or board.kind in ("charuco", "aprilgrid") or board.pitch_m != 1.0
     if needs_length:
         spec += f":{format_length(board.pitch_m) if board.is_metric else repr(board.pitch_m)}"
@@ -245,4 +264,6 @@ def format_board(board: Board) -> str:
         spec += f":{format_length(board.marker_m) if board.is_metric else repr(board.marker_m)}:{board.dictionary}"
     if board.kind == "aprilgrid":
         spec += f":{board.tag_gap_ratio!r}"
-    return spec
+        if board.dictionary not in ("", "tag36h11"):
+            spec += f":{board.dictionary}"
+    return spec + (f":{board.first_tag_id}" if board.first_tag_id else "")

@@ -12,7 +12,20 @@ DICTIONARY_SIZES = (
 )
 """Number of markers of each dictionary, by its name in OpenCV."""
 
-TAG36H11_SIZE = _APRILTAG["36h11"]
+TAG_FAMILIES = {f"tag{name}": size for name, size in _APRILTAG.items()}
+"""Number of tags of each AprilTag family, by its own name."""
+
+
+def check_tag_family(name: str, n_tags: int) -> None:
+    """Refuses a family that is not known, or has no tag with so high an id.
+
+    Raises:
+        ValueError: It is unknown or too small.
+    """
+    if name not in TAG_FAMILIES:
+        raise ValueError(f"{name[:40]!r} is not a known tag family; those are {', '.join(TAG_FAMILIES)}")
+    if n_tags > TAG_FAMILIES[name]:
+        raise ValueError(f"the family {name} has {TAG_FAMILIES[name]} tags, but the board needs ids up to {n_tags - 1}")
 
 
 def check_dictionary(name: str, n_markers: int = 0) -> None:

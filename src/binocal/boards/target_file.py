@@ -54,8 +54,9 @@ def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
             _count(target, "tagCols"),
             _count(target, "tagRows"),
             _number(target, "tagSize"),
-            dictionary="tag36h11",
+            dictionary=_tag_family(target),
             tag_gap_ratio=_number(target, "tagSpacing"),
+            first_tag_id=_first_id(target),
         )
     columns, rows = _count(target, "targetCols"), _count(target, "targetRows")
     if kind == "checkerboard":
@@ -92,6 +93,20 @@ def format_kalibr_target(board: Board) -> str:
             lines |= {"spacingMeters": board.pitch_m, "asymmetricGrid": board.kind == "acircles"}
     kind = {"aprilgrid": "aprilgrid", "chessboard": "checkerboard"}.get(board.kind, "circlegrid")
     return "".join(f"{key}: {value!r}\n" for key, value in {"target_type": kind, **lines}.items())
+
+
+def _tag_family(target: Mapping[str, Any]) -> str:
+    """``tagFamily``, as 36h11 or tag36h11; Kalibr's own files have none."""
+    name = str(target.get("tagFamily", "tag36h11"))
+    return name if name.startswith("tag") else f"tag{name}"
+
+
+def _first_id(target: Mapping[str, Any]) -> int:
+    """``startId``; Kalibr's own files have none."""
+    value = target.get("startId", 0)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ValueError(f"startId must be a whole number from 0 on; got {str(value)[:40]!r}")
+    return value
 
 
 def _count(target: Mapping[str, Any], key: str) -> int:

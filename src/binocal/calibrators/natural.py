@@ -12,20 +12,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy import ndarray
 
+from binocal.calibrators.natural_cameras import (
+    asked,
+    assumed_covariance,
+    intrinsics_covariance,
+    parameters_asked_for,
+    refuse_other_cameras,
+    slopes_of,
+)
 from binocal.calibrators.natural_checks import (
     MIN_MATCHES,
-    asked,
     clear_sides,
     contradicting_pairs,
+    is_mixed_up,
+    pairs_disagree,
     pairs_left_out,
-    parameters_asked_for,
     refuse_other_rig,
     refuse_rectified,
     refuse_whole_rows,
     refuse_wrong,
+    unlike_file,
 )
 from binocal.calibrators.natural_start import BestStart, Guess, best_start
-from binocal.calibrators.natural_untold import limited_to_kept, untold_finding, untold_part, with_untold_kept
+from binocal.calibrators.natural_untold import (
+    as_seen_from,
+    limited_to_kept,
+    untold_finding,
+    untold_part,
+    with_untold_kept,
+)
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
 from binocal.evidence.point_matches import PointMatches
@@ -34,22 +49,19 @@ from binocal.geometry import SE3, so3
 from binocal.progress import ProgressCallback
 from binocal.result import Covariance, ResidualSummary, StereoCalibration, ViewResult
 from binocal.shapes import Bool, Float
-from binocal.solvers.epipolar import NOISE_FLOOR_PX, EpipolarEquations, EpipolarProblem, Rays, parallax_and_sides
+from binocal.solvers.epipolar import NOISE_FLOOR_PX, EpipolarEquations, EpipolarProblem, parallax_and_sides
 from binocal.solvers.epipolar_covariance import (
     covariance_between_pairs,
     covariance_by_regions,
     covariance_of_noise,
+    pairs_apart,
     regions_of,
-    slopes_by_intrinsics,
     steps_by_intrinsics,
 )
 from binocal.solvers.epipolar_descent import finish
-from binocal.solvers.epipolar_diagnosis import clearest_ask
+from binocal.solvers.epipolar_diagnosis import camera_misfit, clearest_ask
 from binocal.solvers.relative_pose import RelativePose, tangents
 
-ASSUMED_FOCAL_SHARE, ASSUMED_ASPECT_SHARE, ASSUMED_CENTRE_PX = 4e-4, 2e-4, 0.25
-ASSUMED_DISTORTION = {"k1": 8e-4, "k2": 1.6e-3, "p1": 5e-5, "p2": 5e-5}
-"""What intrinsics are uncertain by where nobody says: as a good calibration from a board leaves them."""
 MIN_SIDE_SHARE = 0.1  # of clear points: with fewer on either side, they do not lie on both
 NEAR_NOISE = 3.0
 BEHIND_PX, BEHIND_NOISE = 8.0, 20.0
@@ -79,8 +91,15 @@ class NaturalRequest:
     """A first guess from matches alone (:mod:`binocal.matching.relative_pose`)."""
     seed: int = 0
     progress: ProgressCallback | None = None
+    filed: SE3 | None = None
+    """The pose that a rig's file has where it is no start (``old`` is None): what no other mounting explains is named."""
     calibrator: str = "drl"
     """Who closes the kernel from an old rig: see :func:`binocal.calibrators.natural_solves.solves_of`."""
+
+    @property
+    def given(self) -> SE3 | None:
+        """The pose of the rig that was given, be it the start or not."""
+        return self.filed if self.old is None else self.old
 
 
 def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> StereoCalibration:
@@ -136,7 +155,7 @@ def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
         minimum = finish(problem, estimate)
         noise_px, estimate = max(float(minimum.scale_px), NOISE_FLOOR_PX), minimum.estimate
     equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
-    refuse_rectified(problem, matches, request.old, noise_px)
+    refuse_rectified(problem, matches, request.given, noise_px)
     solved = _Solved(problem, matches, estimate, equations, noise_px, best)
     refuse_wrong(matches, solved.is_right, noise_px)
     return solved
@@ -146,45 +165,55 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     """The minimum with its covariance, held against the old rig and the cameras."""
     problem, matches, estimate, noise_px = solved.problem, solved.matches, solved.estimate, solved.noise_px
     of_cameras = intrinsics_covariance(request.cameras, request.intrinsics)
-    slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
+    slopes = _slopes(solved, request.cameras, of_cameras)
     rng = np.random.default_rng(request.seed)
     covariance, random = _covariance(solved, request, of_cameras, slopes)
     kept: list[Finding] = []
     untold = untold_part(covariance)
-    if untold is not None:
-        kept.append(untold_finding(covariance, is_kept=request.old is not None))
-        if request.old is None:
-            raise refusal(kept[0])
+    if untold is not None and request.old is None:
+        raise refusal(untold_finding(covariance, untold, estimate, is_kept=False))
+    if not is_mixed_up(estimate, request.given):
+        allowed = assumed_covariance(request.cameras, of_no_lens=True)
+        allowed += of_cameras if request.intrinsics is not None else 0.0
+        refuse_other_cameras(camera_misfit(solved.equations, matches.pair, slopes, allowed))
+    if untold is not None and request.old is not None:
+        old = RelativePose.of(request.old)
+        held, of_held = as_seen_from(untold, estimate, old), covariance
         for _ in range(KEPT_ROUNDS):  # what a scene tells depends on the pose at which it is asked
-            estimate = with_untold_kept(problem, untold, RelativePose.of(request.old), noise_px)
+            untold = untold_part(covariance)
+            if untold is not None:
+                held, of_held = as_seen_from(untold, estimate, old), covariance
+            estimate = with_untold_kept(problem, held, old, noise_px)
             equations = problem.linearize(estimate, np.asarray(noise_px), "tukey")
             solved = replace(solved, estimate=estimate, equations=equations)
             refuse_wrong(matches, solved.is_right, noise_px)
-            slopes = _slopes(solved, request.cameras, np.sqrt(np.diagonal(of_cameras)))
+            slopes = _slopes(solved, request.cameras, of_cameras)
             covariance, random = _covariance(solved, request, of_cameras, slopes)
-            again = untold_part(covariance)
-            untold = untold if again is None else again
+        kept.append(untold_finding(of_held, held, old, is_kept=True))
         covariance = limited_to_kept(covariance)
     regions = regions_of(matches.left_px, request.cameras[0].size_wh)
-    ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, slopes), rng)
+    told_of = slopes * (np.diagonal(of_cameras) > 0)
+    ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, told_of), rng)
     direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))
     refuse_other_rig(estimate, request.old, direction_sigma_deg, ask, noise_px)
+    if request.old is None and request.filed is not None:
+        findings += unlike_file(estimate, request.filed, direction_sigma_deg)
     if ask is not None:
         findings.append(
             finding("matches-ask-for-other-cameras", what=asked(ask), saved_percent=100 * ask.fall, parameter=ask.name)
         )
+    findings += pairs_disagree(pairs_apart(solved.equations, matches.pair, regions))
     return _calibration(solved, request, (covariance, random), (*findings, *kept))
 
 
-def _slopes(solved: _Solved, cameras: tuple[Camera, Camera], sigma: Float[ndarray, "p"]) -> Float[ndarray, "n p"]:
-    problem, matches = solved.problem, solved.matches
-
-    def of_other_cameras(pair: tuple[Camera, Camera]) -> EpipolarProblem:
-        left = problem.left if pair[0] is cameras[0] else Rays.of_points(pair[0], matches.left_px)
-        right = problem.right if pair[1] is cameras[1] else Rays.of_points(pair[1], matches.right_px)
-        return EpipolarProblem(left, right)
-
-    return slopes_by_intrinsics(of_other_cameras, cameras, solved.estimate, sigma, len(matches))
+def _slopes(
+    solved: _Solved, cameras: tuple[Camera, Camera], of_cameras: Float[ndarray, "p p"]
+) -> Float[ndarray, "n p"]:
+    """By all parameters, those of which a rig file says that they are exact too."""
+    sigma = np.sqrt(np.diagonal(of_cameras))
+    assumed = np.sqrt(np.diagonal(assumed_covariance(cameras, of_no_lens=True)))
+    step = np.where(sigma > 0, sigma, assumed)
+    return slopes_of(solved.problem, solved.matches, solved.estimate, cameras, step)
 
 
 def _all_far(problem: EpipolarProblem, estimate: RelativePose, noise_px: float) -> bool:
@@ -251,35 +280,6 @@ def _grown(covariance: Float[ndarray, "5 5"], least: Float[ndarray, "5 5"]) -> F
     """The covariance with no variance below that of ``least``, its correlations kept."""
     grow = np.sqrt(np.maximum(np.diagonal(least) / np.maximum(np.diagonal(covariance), 1e-300), 1.0))
     return covariance * np.outer(grow, grow)
-
-
-def intrinsics_covariance(cameras: tuple[Camera, Camera], known: Covariance | None) -> Float[ndarray, "p p"]:
-    """Covariance of all parameters of both cameras, left first: what a rig file says of them, or what is assumed."""
-    names = [
-        f"{side}.{n}"
-        for side, c in zip(("left", "right"), cameras, strict=True)
-        for n in camera_model(c.model).parameter_names
-    ]
-    out = np.zeros((len(names), len(names)))
-    if known is not None and any(name in known.names for name in names):
-        place = {name: i for i, name in enumerate(known.names)}
-        here = [i for i, name in enumerate(names) if name in place]
-        there = [place[names[i]] for i in here]
-        out[np.ix_(here, here)] = known.matrix[np.ix_(there, there)]
-        return out
-    first = 0
-    for camera in cameras:
-        f = float(camera.parameters[0])
-        out[first, first] = out[first + 1, first + 1] = out[first, first + 1] = out[first + 1, first] = (
-            ASSUMED_FOCAL_SHARE * f
-        ) ** 2
-        out[first + 1, first + 1] += (ASSUMED_ASPECT_SHARE * f) ** 2
-        out[first + 2, first + 2] = out[first + 3, first + 3] = ASSUMED_CENTRE_PX**2
-        for i, name in enumerate(camera_model(camera.model).distortion_names):
-            is_known_zero = not camera.distortion.any()  # rectified images: what is left of the lens is not said
-            out[first + 5 + i, first + 5 + i] = 0.0 if is_known_zero else ASSUMED_DISTORTION.get(name, 0.0) ** 2
-        first += len(camera.parameters)
-    return out
 
 
 def _pair_scatter(solved: _Solved, random: Float[ndarray, "5 5"]) -> Float[ndarray, "3"]:

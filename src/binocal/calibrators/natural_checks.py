@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy import ndarray
 
-from binocal.cameras import Camera
-from binocal.cameras.models import camera_model
+from binocal.calibrators.natural_cameras import asked
 from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3, so3
-from binocal.shapes import Bool, Float
+from binocal.shapes import Bool
 from binocal.solvers.epipolar import MAD_TO_SIGMA, EpipolarProblem, parallax_and_sides
+from binocal.solvers.epipolar_covariance import PairsApart
 from binocal.solvers.epipolar_diagnosis import Ask
 from binocal.solvers.relative_pose import RelativePose
 from binocal.solvers.robust import TUKEY_END
@@ -26,11 +26,17 @@ CLEAR_PX, CLEAR_NOISE, MIN_CLEAR = 3.0, 10.0, 20
 """Parallax, in pixels and of the noise, and of how many points, for the side on which they lie to be told."""
 MOST_TURN_DEG, MOST_DIRECTION_DEG, MOST_SIGMAS = 15.0, 6.0, 3.0
 """From the rig that was given; beyond them it was not bent by heat or a knock, and the direction moves by no more than the turn else."""
+MOST_FORWARD_DEG = 15.0
+"""From the rig's file where its pose is no start: by how much more or less the translation may lie along the view. Cameras are mounted
+anew side by side or one above the other as before; one that moved on between the exposures seems to stand behind the other."""
 MOST_NOISE_PX = 1.0  # no matcher leaves more; what another parameter of the cameras would take away of it is theirs
 UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
 RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
 """Median difference of matches' rows as they are, and by the rig given, for images that were rectified before; the former's share of
 the noise in the rig's best pose."""
+APART_SHARE, APART_OVER_REGIONS = 0.25, 5.0
+"""Of the squared residuals, that a pose for each pair would take away, and over what regions explain, for pairs to disagree: EuRoC's and
+BumbleBee2's have up to 0.11 and 3.5, KITTI's grey ones 0.43 to 0.61 and 10 to 18."""
 NAMED = 3  # pairs in one sentence
 
 
@@ -104,10 +110,38 @@ def pairs_left_out(matches: PointMatches, odd: Mapping[int, str], has_old: bool)
     return finding("pairs-left-out", n_odd=n_odd, n_pairs=n_pairs, what=what)
 
 
+def pairs_disagree(apart: PairsApart | None) -> list[Finding]:
+    """What is said of pairs that differ by more than errors of their matches explain."""
+    if apart is None or apart.share < APART_SHARE or apart.over_regions < APART_OVER_REGIONS:
+        return []
+    share_percent, over = 100 * apart.share, apart.over_regions
+    return [finding("pairs-disagree", apart_px=apart.apart_px, share_percent=share_percent, over_regions=over)]
+
+
 def named(texts: list[str]) -> str:
     """The first few, and how many more."""
     more = f", and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
     return ", ".join(texts[:NAMED]) + more
+
+
+def is_mixed_up(estimate: RelativePose, given: SE3 | None) -> bool:
+    """Whether one camera's images are upside down against the other's, or the sides are exchanged, by the rig given."""
+    return given is not None and bool(_mixed_up(*_away_deg(estimate, RelativePose.of(given))))
+
+
+def _mixed_up(turn_deg: float, direction_deg: float) -> str:
+    """How the images are, in words; nothing where they are as they should be."""
+    if turn_deg > UPSIDE_DOWN_DEG:
+        return "one camera's images are upside down against the other's, as the rig's file does not have them"
+    if direction_deg > REVERSED_DEG:
+        return "left and right are exchanged, or both images are mirrored or upside down"
+    return ""
+
+
+def _away_deg(estimate: RelativePose, old: RelativePose) -> tuple[float, float]:
+    """Turn, and angle between the directions of the translation."""
+    turn_deg = float(np.degrees(so3.angle_rad(estimate.R @ old.R.T)))
+    return turn_deg, float(np.degrees(np.arccos(np.clip(estimate.t @ old.t, -1, 1))))
 
 
 def refuse_other_rig(
@@ -116,18 +150,14 @@ def refuse_other_rig(
     """Raises InconsistentViewsError: the rig that was given cannot have become the one that the images show, or has other cameras."""
     if given is None:
         return
-    old = RelativePose.of(given)
-    rotation = estimate.R @ old.R.T
-    turn_deg = float(np.degrees(so3.angle_rad(rotation)))
-    direction_deg = float(np.degrees(np.arccos(np.clip(estimate.t @ old.t, -1, 1))))
+    turn_deg, direction_deg = _away_deg(estimate, RelativePose.of(given))
     most_deg = MOST_DIRECTION_DEG + MOST_SIGMAS * direction_sigma_deg + min(turn_deg, MOST_TURN_DEG)
     has_other_cameras = ask is not None and noise_px > MOST_NOISE_PX
     if turn_deg <= MOST_TURN_DEG and direction_deg <= most_deg and not has_other_cameras:
         return
-    if turn_deg > UPSIDE_DOWN_DEG:
-        cause = "one camera's images are upside down against the other's, as the rig's file does not have them"
-    elif direction_deg > REVERSED_DEG:
-        cause = "left and right are exchanged, or both images are mirrored or upside down"
+    mixed_up = _mixed_up(turn_deg, direction_deg)
+    if mixed_up:
+        cause = mixed_up
     elif ask is not None:
         cause = f"the rig's cameras are not those of the images, which ask for {asked(ask)}"
     else:
@@ -137,27 +167,28 @@ def refuse_other_rig(
     raise refusal(finding("rig-is-another", turn_deg=turn_deg, direction_deg=direction_deg, cause=cause))
 
 
-def parameters_asked_for(
-    cameras: tuple[Camera, Camera], slopes: Float[ndarray, "n p"]
-) -> dict[str, Float[ndarray, "n"]]:
-    """Derivatives of the residuals by what may be asked of each camera: focal length (its share), principal point, k1."""
-    found: dict[str, Float[ndarray, "n"]] = {}
-    first = 0
-    for side, camera in zip(("left", "right"), cameras, strict=True):
-        names = camera_model(camera.model).parameter_names
-        own = slopes[:, first : first + len(names)]
-        found[f"{side}.f"] = own[:, :2] @ camera.parameters[:2]
-        for name in ("cx", "cy", "k1"):
-            found[f"{side}.{name}"] = own[:, names.index(name)]
-        first += len(names)
-    return found
+def unlike_file(estimate: RelativePose, filed: SE3, direction_sigma_deg: float) -> list[Finding]:
+    """What is said of a pose that was found without the rig file's and is far from it.
+
+    Raises:
+        InconsistentViewsError: No other mounting explains it.
+    """
+    old = RelativePose.of(filed)
+    turn_deg, direction_deg = _away_deg(estimate, old)
+    cause = _mixed_up(turn_deg, direction_deg)
+    forward_deg = abs(_forward_deg(estimate) - _forward_deg(old))
+    if not cause and forward_deg > MOST_FORWARD_DEG + MOST_SIGMAS * direction_sigma_deg:
+        cause = f"one camera seems to stand {forward_deg:.0f} deg farther along the view: the two images of a pair are not of one moment"
+    figures = {"turn_deg": turn_deg, "direction_deg": direction_deg}
+    if cause:
+        remedy = "check the images and their sides, and give a rig's file whose translation points roughly as it does"
+        raise refusal(finding("rig-is-another", cause=cause, remedy=remedy, **figures))
+    most_deg = MOST_DIRECTION_DEG + MOST_SIGMAS * direction_sigma_deg + min(turn_deg, MOST_TURN_DEG)
+    is_far = turn_deg > MOST_TURN_DEG or direction_deg > most_deg
+    return [finding("pose-unlike-file", turn_deg=turn_deg, direction_deg=direction_deg)] if is_far else []
 
 
-def asked(ask: Ask) -> str:
-    """What is asked for, in words."""
-    side, name = ask.name.split(".")
-    if name == "f":
-        return f"a focal length of the {side} camera that is {100 * ask.change:+.2f} ± {100 * ask.sigma:.2f} % another"
-    if name == "k1":
-        return f"a k1 of the {side} camera that is {ask.change:+.4f} ± {ask.sigma:.4f} another"
-    return f"a principal point of the {side} camera that lies {ask.change:+.1f} ± {ask.sigma:.1f} px away in {name[1]}"
+def _forward_deg(pose: RelativePose) -> float:
+    """How far the translation points along the cameras' common view, out of the plane across it."""
+    view = pose.R[:, 2] + np.array([0.0, 0.0, 1.0])
+    return float(np.degrees(np.arcsin(np.clip(pose.t @ view / max(float(np.linalg.norm(view)), 1e-9), -1, 1))))

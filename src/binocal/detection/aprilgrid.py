@@ -1,4 +1,4 @@
-"""AprilGrids: grids of 36h11 tags whose corners touch small black squares, as Kalibr prints them, or touch nothing.
+"""AprilGrids: grids of AprilTags whose corners touch small black squares, as Kalibr prints them, or touch nothing.
 
 Prints differ in three ways that the images show: the tag's black border is one or two bits wide (Kalibr: two), ids
 count from the top-left or from the bottom-left tag (Kalibr), and a tag's own up may be turned against the board's.
@@ -13,7 +13,11 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
-from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
+from binocal.detection.finding.marker_codes import CodeKind
+from binocal.detection.finding.marker_consistency import find_inconsistent
+from binocal.detection.finding.marker_grid import april_grid
+from binocal.detection.finding.marker_search import MarkerSighting, search_markers
+from binocal.detection.finding.markers import find_markers, get_dictionary
 from binocal.detection.finding.planes import grid_residuals
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.finding.strays import find_strays, stray_note
@@ -21,13 +25,16 @@ from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import corner_covariance, measure_corners, refine_corners
 from binocal.kernels.corner_fits import BoardPlaces
-from binocal.shapes import Bool, Float, Float32, Int
+from binocal.shapes import Bool, Float, Int, UInt8
 
 MIN_TAGS = 2  # one tag does not show how the ids run
 L_CORNER_BIAS_PX = (
     0.1  # cornerSubPix on tag corners that touch nothing; measured 0.08 to 0.10 on rendered grids, blur 0.8 px
 )
 MUCH_MORE = 1.5  # times as many tags with the narrow border as with the wide one, for it to be the board's
+LEAST_MORE_READ = 2  # tags that must be where one layout demands them and not where another does, for it to be believed
+LAYOUT_UNKNOWN = "which way the ids run cannot be seen in this image; from the bottom taken"
+MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
 MAX_STRAY = 0.5  # greatest distance from a smooth plane, tag sides: above it some tag may be none of the board's
 MAX_MISFIT = 0.2  # median distance from a smooth plane, tag sides: a wrong hypothesis is off by a whole tag
 
@@ -41,16 +48,49 @@ class TagLayout:
 
 
 def detect_aprilgrid(
-    grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board, layout: TagLayout | None = None
+    grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board, layout: TagLayout | None = None
 ) -> tuple[FoundBoard, TagLayout | None]:
     """The tag corners of an AprilGrid, partly visible or not, and the layout that the image proves (None: none).
 
     Points are in the order of the board as it hangs upright, whichever way its ids run. With a ``layout`` given it is
-    taken.
+    taken. Where no lattice with tags is seen (their corners may touch no squares), OpenCV's search for the tags alone is tried.
     """
-    ids, quads, border_bits = find_tags(to_8_bit(stretched), board.columns * board.rows)
+    found, proved, is_mirrored = _detect_by_lattice(grey, stretched, board, layout)
+    if found is not None:
+        return found, proved
+    found, proved = _detect_by_tags(grey, stretched, board, layout)
+    if is_mirrored and not found.is_found:
+        found = not_found(board.n_points, MIRRORED)
+    return found, proved
+
+
+def _detect_by_lattice(
+    grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board, layout: TagLayout | None
+) -> tuple[FoundBoard | None, TagLayout | None, bool]:
+    """The board by its lattice, None where none is seen; the layout that is proved; whether a mirror image was seen."""
+    layouts = (layout,) if layout else _LAYOUTS
+    grids = [april_grid(board, each.is_bottom_up, each.turns, _border_share(board, 1)) for each in layouts]
+    kinds = [CodeKind(board.marker_dictionary, border_bits, 0.0, board.tag_gap_ratio) for border_bits in (2, 1)]
+    search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else MIN_TAGS)
+    if not search.sightings:
+        return None, None, search.is_mirrored
+    best, *others = search.sightings
+    is_proved = layout is None and all(best.n_read >= other.n_read + LEAST_MORE_READ for other in others)
+    found = _measure_lattice(grey, board, best)
+    if found.is_found and layout is None and not is_proved:
+        found = replace(found, note=LAYOUT_UNKNOWN)
+    return found, layouts[best.way] if is_proved else None, False
+
+
+def _detect_by_tags(
+    grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board, layout: TagLayout | None
+) -> tuple[FoundBoard, TagLayout | None]:
+    """The board by its tags alone, which OpenCV finds: where their corners touch no squares there is no lattice."""
+    ids, quads, border_bits = find_tags(stretched, board.columns * board.rows, board.marker_dictionary)
     if len(ids) == 0:
-        return not_found(board.n_points, "no tag of the family 36h11 found"), None
+        return not_found(
+            board.n_points, f"no tag of the family {(board.dictionary or 'tag36h11').removeprefix('tag')} found"
+        ), None
     tags = ids - board.first_tag_id
     known = (tags >= 0) & (tags < board.columns * board.rows)
     if not known.any():
@@ -77,10 +117,14 @@ def detect_aprilgrid(
             board.n_points,
             f"its {len(tags)} tags do not lie as on a {board.columns}x{board.rows} grid, gap {board.tag_gap_ratio:g}",
         ), proved
-    found = _measure(grey, stretched, board, tags, quads, chosen, border_bits)
+    rough, side = np.full((board.n_points, 2), np.nan), np.full(board.n_points, np.nan)
+    index = _point_indices(board, tags, chosen)
+    rough[index.ravel()] = quads.reshape(-1, 2)
+    side[index.ravel()] = np.repeat(np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).min(axis=1), 4)
+    found = _measure_tags(grey, stretched, board, rough, side, border_bits)
     notes = [found.note] if found.note else []
     if layout is None and proved is None:
-        notes = ["which way the ids run cannot be seen in this image; from the bottom taken"]
+        notes = [LAYOUT_UNKNOWN]
     if is_stray.any():
         notes.append(stray_note(int(is_stray.sum()), "tag"))
     return replace(found, note="; ".join(notes)) if found.is_found else found, proved
@@ -90,13 +134,15 @@ def detect_aprilgrid(
 _LAYOUTS = tuple(TagLayout(is_bottom_up, turns) for is_bottom_up in (True, False) for turns in range(4))
 
 
-def find_tags(grey8: ndarray, n_tags: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
+def find_tags(
+    grey8: ndarray, n_tags: int, family: str = "DICT_APRILTAG_36h11"
+) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 4 2"], int]:
     """Tags of either border width, in the image with its dark parts thinned by a pixel and, if need be, as it is.
 
     Thinning parts the tags from the small squares that touch their corners and would merge them into one outline; it
     shrinks a tag by a pixel on each side, which refinement takes back.
     """
-    dictionary = get_dictionary("DICT_APRILTAG_36h11")
+    dictionary = get_dictionary(family)
     thinned = cv2.dilate(grey8, np.ones((3, 3), np.uint8))
     best: tuple[ndarray, ndarray, int] = (np.zeros(0, int), np.zeros((0, 4, 2)), 2)
     for image, grow in ((thinned, 1.0), (grey8, 0.0)):
@@ -144,19 +190,38 @@ def _residuals(board: Board, tags: ndarray, quads: ndarray, layout: TagLayout) -
     return float(np.median(residuals)), float(residuals.max())
 
 
-def _measure(
-    grey: ndarray, stretched: ndarray, board: Board, tags: ndarray, quads: ndarray, layout: TagLayout, border_bits: int
-) -> FoundBoard:
-    n = board.n_points
-    rough, side = np.full((n, 2), np.nan), np.full(n, np.nan)
-    index = _point_indices(board, tags, layout)
-    rough[index.ravel()] = quads.reshape(-1, 2)
-    side[index.ravel()] = np.repeat(np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).min(axis=1), 4)
+def _measure_lattice(grey: ndarray, board: Board, sighting: MarkerSighting) -> FoundBoard:
+    """The corners of a lattice, where tags and small squares meet."""
+    rough = sighting.points_px(board.n_points)
+    side, height = sighting.steps_px(board.n_points)
+    border = _border_share(board, sighting.reading.kind.border_bits)
     # The window ends where the small square or the tag's code begins.
-    window_per_side = 0.75 * min(board.tag_gap_ratio, border_bits / (6 + 2 * border_bits))
+    points, covariance, cross = measure_corners(
+        grey,
+        rough,
+        BoardPlaces(board.object_points_m[:, :2]),
+        board.tag_gap_ratio * height,
+        border * height,
+        per_reach=0.75 * min(1.0, border / board.tag_gap_ratio),
+    )
+    points[~_are_near(points, rough, side)] = np.nan
+    points[find_inconsistent(sighting, points, covariance, side)] = np.nan
+    return _as_found(grey, board, points, covariance, cross, side)
+
+
+def _measure_tags(
+    grey: ndarray,
+    stretched: UInt8[ndarray, "h w"],
+    board: Board,
+    rough: Float[ndarray, "n 2"],
+    side: Float[ndarray, "n"],
+    border_bits: int,
+) -> FoundBoard:
+    """The corners of tags about their rough places, NaN where unknown; ``side`` is the tags' there."""
+    border = _border_share(board, border_bits)
+    window_per_side = 0.75 * min(board.tag_gap_ratio, border)
     points = refine_corners(grey, rough, side, per_spacing=window_per_side)
     seen = np.isfinite(points[:, 0])
-    border = border_bits / (6 + 2 * border_bits)
     radius = max(2.0, 0.5 * float(np.nanmedian(side)) * min(board.tag_gap_ratio, border))
     touches = bool(seen.any()) and read_rings(stretched, points[seen], radius)[0].mean() >= 0.5
     if touches:
@@ -175,17 +240,36 @@ def _measure(
             2
         )
         cross = np.zeros_like(covariance)
-    points[np.linalg.norm(points - rough, axis=1) > np.maximum(0.15 * side, 2.5)] = np.nan
+    points[~_are_near(points, rough, side)] = np.nan
+    found = _as_found(grey, board, points, covariance, cross, side)
+    if touches or not found.is_found:
+        return found
+    note = "the tags' corners touch no black squares, which costs accuracy (about 0.1 px); Kalibr's print has them"
+    return replace(found, note=note)
+
+
+def _border_share(board: Board, border_bits: int) -> float:
+    """Width of the tags' border, in their sides."""
+    return border_bits / (get_dictionary(board.marker_dictionary).markerSize + 2 * border_bits)
+
+
+def _are_near(points: ndarray, rough: ndarray, side: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
+    with np.errstate(invalid="ignore"):
+        return np.linalg.norm(points - rough, axis=1) <= np.maximum(0.15 * side, 2.5)
+
+
+def _as_found(
+    grey: ndarray, board: Board, points: ndarray, covariance: ndarray, cross: ndarray, side: Float[ndarray, "n"]
+) -> FoundBoard:
+    """The board of the corners that lie as on a plane behind a lens."""
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= 4:
         points = keep_regular(board.object_points_m[:, :2], points, 0.5 * side, (grey.shape[1], grey.shape[0]))
         seen = np.isfinite(points[:, 0])
     if seen.sum() < 4:
         return not_found(
-            n, f"only {seen.sum()} tag corners could be measured; the image is too blurred or the tags are too small"
+            board.n_points,
+            f"only {seen.sum()} tag corners could be measured; the image is too blurred or the tags are too small",
         )
     covariance[~seen] = cross[~seen] = np.nan
-    note = ""
-    if not touches:
-        note = "the tags' corners touch no black squares, which costs accuracy (about 0.1 px); Kalibr's print has them"
-    return FoundBoard(points, covariance, note=note, cross_covariance_px2=cross)
+    return FoundBoard(points, covariance, cross_covariance_px2=cross)

@@ -11,7 +11,11 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.detection.finding.arrangements import charuco_squares
-from binocal.detection.finding.markers import find_markers, get_dictionary, to_8_bit
+from binocal.detection.finding.marker_codes import CodeKind
+from binocal.detection.finding.marker_consistency import find_inconsistent
+from binocal.detection.finding.marker_grid import charuco_grid
+from binocal.detection.finding.marker_search import LEAST_SURE, MarkerSighting, search_markers
+from binocal.detection.finding.markers import find_markers, get_dictionary
 from binocal.detection.finding.planes import apply_homography, grid_residuals
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.finding.strays import find_strays, stray_note
@@ -19,11 +23,16 @@ from binocal.detection.finding.xcorners import read_rings
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
 from binocal.kernels.corner_fits import BoardPlaces
-from binocal.shapes import Bool, Float, Float32, Int
+from binocal.shapes import Bool, Float, Int, UInt8
 
 Layout = Literal["", "current", "legacy"]
 MIN_CORNERS = 4  # of one image: fewer carry no pose; the solver decides on more
 MAX_MISFIT = 0.5  # distance of markers from a smooth plane, sides; a wrong board is off by a whole square
+# Faces that must bear their markers in one layout and not in the other, for it to be believed: on real boards the wrong one had
+# up to two more.
+LEAST_MORE_READ = 4
+LAYOUT_UNKNOWN = "the board's layout (current or legacy) cannot be seen in this image; current taken"
+MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
 MIN_LAYOUT_RATIO = 3.0  # by which one layout must fit better than the other to be believed
 
 
@@ -50,20 +59,60 @@ def marker_squares(board: Board, layout: Layout) -> Int[ndarray, "m 2"]:
 
 
 def detect_charuco(
-    grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board, layout: Layout = ""
+    grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board, layout: Layout = ""
 ) -> tuple[FoundBoard, Layout]:
     """The inner corners of a ChArUco board, partly visible or not, and the layout the image proves ("": neither).
 
-    With a ``layout`` given it is taken; without, the one on which the markers fit a plane (the current one if both do,
-    with a note).
+    With a ``layout`` given it is taken; without, the one in which more of the board's faces bear their markers (the current one
+    if both do, with a note). Where no lattice with markers is seen, OpenCV's search for the markers alone is tried.
     """
-    ids, quads = find_markers(to_8_bit(stretched), get_dictionary(board.dictionary))
+    found, proved, is_mirrored = _detect_by_lattice(grey, stretched, board, layout)
+    if found is not None:
+        return found, proved
+    found, proved = _detect_by_markers(grey, stretched, board, layout)
+    if is_mirrored and not found.is_found:
+        found = not_found(board.n_points, MIRRORED)
+    return found, proved
+
+
+def _detect_by_lattice(
+    grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board, layout: Layout
+) -> tuple[FoundBoard | None, Layout, bool]:
+    """The board by its lattice, None where none is seen; the layout that is proved; whether a mirror image was seen."""
+    layouts: tuple[Layout, ...] = (
+        (layout,) if layout else ("current", "legacy") if board.rows % 2 == 0 else ("current",)
+    )
+    grids = [charuco_grid(board, name == "legacy") for name in layouts]
+    inset = grids[0].free
+    kinds = [CodeKind(board.dictionary, 1, inset, inset / (1 - 2 * inset))]
+    search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else LEAST_SURE)
+    if not search.sightings:
+        return None, "", search.is_mirrored
+    best, *others = search.sightings
+    is_proved = len(layouts) > 1 and all(best.n_read >= other.n_read + LEAST_MORE_READ for other in others)
+    proved = layouts[best.way] if is_proved else "current" if board.rows % 2 else ""
+    predicted = best.points_px(board.n_points)
+    spacing, height = best.steps_px(board.n_points)
+    found = _measure(grey, stretched, board, predicted, spacing, height, best)
+    if found.is_found and not layout and not proved:
+        found = replace(found, note=LAYOUT_UNKNOWN)
+    return found, proved, False
+
+
+def _detect_by_markers(
+    grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board, layout: Layout
+) -> tuple[FoundBoard, Layout]:
+    """The board by its markers alone, which OpenCV finds: where blur or narrow margins leave no lattice."""
+    ids, quads = find_markers(stretched, get_dictionary(board.dictionary))
     if len(ids) == 0:
         return not_found(board.n_points, f"no marker of {board.dictionary} found"), ""
     n_board = len(marker_squares(board, "legacy"))  # where the counts differ, the legacy layout has one more
-    known = ids < n_board
+    ids = ids - board.first_tag_id
+    known = (ids >= 0) & (ids < n_board)
     if not known.any():
-        return not_found(board.n_points, f"markers have ids from {ids.min()} on; the board has 0 to {n_board - 1}"), ""
+        first = board.first_tag_id
+        has = f"the board has {first} to {first + n_board - 1}"
+        return not_found(board.n_points, f"markers have ids from {ids.min() + first} on; {has}"), ""
     ids, quads = ids[known], quads[known]
     readings, is_stray = _read_without_strays(board, ids, quads, (grey.shape[1], grey.shape[0]))
     ids, quads = ids[~is_stray], quads[~is_stray]
@@ -72,10 +121,10 @@ def detect_charuco(
     if not reading.misfit < MAX_MISFIT:
         size = f"{board.columns}x{board.rows}"
         return not_found(board.n_points, f"its {len(ids)} markers do not lie as on a board of {size} squares"), proved
-    found = _measure(grey, stretched, board, quads, reading)
+    found = _measure(grey, stretched, board, *_predict(board, quads, reading))
     notes = []
     if not layout and not proved and board.rows % 2 == 0:
-        notes.append("the board's layout (current or legacy) cannot be seen in this image; current taken")
+        notes.append(LAYOUT_UNKNOWN)
     if is_stray.any():
         notes.append(stray_note(int(is_stray.sum()), "marker"))
     return replace(found, note="; ".join(notes)) if found.is_found else found, proved
@@ -123,8 +172,16 @@ def _prove_layout(board: Board, readings: dict[str, _Reading]) -> Layout:
     return "legacy" if legacy * MIN_LAYOUT_RATIO < current and current > 0.05 else ""
 
 
-def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, reading: _Reading) -> FoundBoard:
-    predicted, spacing, height = _predict(board, quads, reading)
+def _measure(
+    grey: ndarray,
+    stretched: ndarray,
+    board: Board,
+    predicted: Float[ndarray, "n 2"],
+    spacing: Float[ndarray, "n"],
+    height: Float[ndarray, "n"],
+    sighting: MarkerSighting | None = None,
+) -> FoundBoard:
+    """The corners about their predictions; ``spacing`` and ``height`` are the squares' shortest side and least height there."""
     # The fit's bands end before the blurred edge of the markers begins: a window that reached 0.38 squares tripled the
     # residuals of a real set (640x480, squares of 20-40 px).
     margin = 0.5 * (1 - board.marker_m / board.pitch_m)
@@ -137,7 +194,13 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
         per_reach=0.9 * margin,
     )
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
-    points[~_are_x_corners(stretched, points, spacing)] = np.nan
+    if sighting is not None:
+        is_measured = np.isfinite(points[:, 0])
+        points[find_inconsistent(sighting, points, covariance, spacing)] = np.nan
+        if is_measured.sum() >= MIN_CORNERS and not np.isfinite(points).any():
+            return not_found(board.n_points, "the image is too blurred: the board's corners run into its markers")
+    else:
+        points[~_are_x_corners(stretched, points, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= MIN_CORNERS:
         points = keep_regular(board.object_points_m[:, :2], points, spacing, (grey.shape[1], grey.shape[0]))
@@ -145,7 +208,7 @@ def _measure(grey: ndarray, stretched: ndarray, board: Board, quads: ndarray, re
     if seen.sum() < MIN_CORNERS or not _span_plane(board.object_points_m[seen, :2]):
         return not_found(
             board.n_points,
-            f"only {seen.sum()} corners seen beside {len(quads)} markers; at least {MIN_CORNERS} off one line needed",
+            f"only {seen.sum()} corners seen beside its markers; at least {MIN_CORNERS} off one line needed",
         )
     covariance[~seen] = cross[~seen] = np.nan
     return FoundBoard(points, covariance, cross_covariance_px2=cross)

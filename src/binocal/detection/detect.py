@@ -54,13 +54,17 @@ def detect_in_layout(
 def _detect_kind(
     grey: ndarray, board: Board, layout: Layout | TagLayout | None
 ) -> tuple[FoundBoard, Layout | TagLayout | None]:
-    if board.kind == "chessboard":
-        stretched, problem = stretch_8_bit(grey)
-        return (not_found(board.n_points, problem) if problem else detect_chessboard(grey, stretched, board)), None
-    stretched, problem = stretch(grey)
+    if board.kind in ("circles", "acircles"):
+        stretched, problem = stretch(grey)
+        if problem:
+            return not_found(board.n_points, problem), None
+        # Each kind of board is loaded when it is first asked for.
+        from binocal.detection.circles import detect_circles
+
+        return detect_circles(grey, stretched, board), None
+    stretched, problem = stretch_8_bit(grey)
     if problem:
         return not_found(board.n_points, problem), None
-    # Each kind of board is loaded when it is first asked for.
     if board.kind == "charuco":
         from binocal.detection.charuco import detect_charuco
 
@@ -69,9 +73,7 @@ def _detect_kind(
         from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
 
         return detect_aprilgrid(grey, stretched, board, layout if isinstance(layout, TagLayout) else None)
-    from binocal.detection.circles import detect_circles
-
-    return detect_circles(grey, stretched, board), None
+    return detect_chessboard(grey, stretched, board), None
 
 
 def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:

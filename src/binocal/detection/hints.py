@@ -22,7 +22,9 @@ from binocal.images.reading import read_grey_image
 MOST_TRIED = 4
 MIN_AGREEING = 2  # images that show the same other board, unless there is only one
 MAX_OFF = 0.06  # relative, between a marker's side as measured and as given: measured to 0.01 to 0.04
-CELL_PX = 2.5  # of a marker's code, from which on the decoder reads all markers of a sharp image; at 1.8 it reads half of them
+CELL_PX = (
+    2.5  # of a marker's code, from which on all markers of a sharp image are read one by one; a whole board's from 1 on
+)
 _SAME_TURNED = ("chessboard", "circles")  # columns and rows exchanged are the same board
 
 

@@ -191,8 +191,47 @@ def link_corners(
     rays: Floats,
     contrast: Floats,
     max_turn: float,
+    has_markers: bool,
     neighbour: Indices,
     back_ray: Indices,
+    /,
+) -> None: ...
+def find_faces(neighbour: Indices, back_ray: Indices, faces: Indices, parity: Indices, /) -> int: ...
+def read_cells(
+    image: ndarray, quads: Floats, places: Floats, per_cell: int, cx: float, cy: float, f: float, values: ndarray, /
+) -> None: ...
+def vote_on_tags(
+    quads: Floats,
+    places: Floats,
+    cx: float,
+    cy: float,
+    f: float,
+    pitch: float,
+    reach: float,
+    groups: Indices,
+    agreeing: Indices,
+    disagreeing: Indices,
+    /,
+) -> None: ...
+def predict_places(
+    x: Floats, y: Floats, pitch: float, known: Floats, cx: float, cy: float, f: float, places: Floats, points: Floats, /
+) -> None: ...
+def predict_each(
+    x: Floats, y: Floats, pitch: float, known: Floats, weight: Floats, cx: float, cy: float, f: float, points: Floats, /
+) -> None: ...
+def grow_lattice(
+    image: ndarray,
+    x: Floats,
+    y: Floats,
+    pitch: float,
+    sign: float,
+    free: float,
+    known: Floats,
+    candidates: Floats,
+    cx: float,
+    cy: float,
+    f: float,
+    is_new: ndarray,
     /,
 ) -> None: ...
 def grow_groups(

@@ -10,7 +10,7 @@ from numpy import ndarray
 from binocal.evidence.point_matches import PointMatches
 from binocal.kernels.template_match import match_templates
 from binocal.matching.features import RATIO, as_bytes, find_features, match_features
-from binocal.matching.sharpness import edge_spread_px
+from binocal.matching.sharpness import pair_spreads_px
 from binocal.shapes import Bool, Float
 
 MIN_LIKENESS = 0.9
@@ -48,6 +48,7 @@ def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions |
     first, second = (find_features(as_bytes(image), options.n_features) for image in (left, right))
     found = match_features(first, second, options.ratio)
     left_px, right_px = first.points_px[found[:, 0]], second.points_px[found[:, 1]]
+    spread = pair_spreads_px((left, right), (first.points_px, second.points_px), (left_px, right_px))
     refined, agrees = _refined(left, right, left_px, right_px, options.half)
     if agrees.sum() >= FEW_MATCHES:
         left_px, right_px = left_px[agrees], refined[agrees]
@@ -55,7 +56,6 @@ def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions |
         right_px = np.where(agrees[:, None], refined, right_px)
     sizes = [(image.shape[1], image.shape[0]) for image in (left, right)]
     matches = PointMatches(left_px, right_px, np.zeros(len(left_px), dtype=int), (name,), sizes[0], sizes[1])
-    spread = edge_spread_px(left, first.points_px), edge_spread_px(right, second.points_px)
     return PairMatches(matches, (len(first.points_px), len(second.points_px)), spread)
 
 

@@ -107,7 +107,7 @@ def _charuco_print(board: Board, is_legacy: bool) -> CellPrint:
     n_block = n_cells + 2
     first_is_white = is_legacy and board.rows % 2 == 0
     ink = np.zeros((board.rows, n_block, board.columns, n_block), dtype=int)
-    marker_id = 0
+    marker_id = board.first_tag_id
     for row in range(board.rows):
         for column in range(board.columns):
             if (row + column) % 2 == int(first_is_white):
@@ -123,17 +123,19 @@ def _aprilgrid_print(board: Board, border_bits: int) -> CellPrint:
     dictionary = _aruco_dictionary("DICT_APRILTAG_36h11")
     code = np.array([[(_TAG36H11_ID0 >> (6 * i + j)) & 1 for j in range(6)] for i in range(6)])
     first = 1 - _marker_ink(dictionary, 0, "DICT_APRILTAG_36h11")[1:-1, 1:-1]
+    family = board.marker_dictionary
     # OpenCV holds the family upside down, but later versions may turn it
     turns = 2 if np.array_equal(first, code) else 0
     assert turns or np.array_equal(first, np.rot90(code, 2)), "OpenCV's tag36h11 is neither upright nor upside down"
-    n_cells, gap = 6 + 2 * border_bits, board.tag_gap_ratio
+    dictionary = _aruco_dictionary(family)
+    n_cells, gap = dictionary.markerSize + 2 * border_bits, board.tag_gap_ratio
     block = n_cells + 1  # a gap, then the tag's cells
     ink = np.zeros((board.rows * block + 1, board.columns * block + 1), dtype=int)
     ink[::block, ::block] = 1
     for index, tag_id in enumerate(board.tag_ids):
         row, column = divmod(index, board.columns)
         tag = np.ones((n_cells, n_cells), dtype=int)
-        data = _marker_ink(dictionary, int(tag_id), "DICT_APRILTAG_36h11")[1:-1, 1:-1]
+        data = _marker_ink(dictionary, int(tag_id), family)[1:-1, 1:-1]
         tag[border_bits:-border_bits, border_bits:-border_bits] = np.rot90(data, turns)
         ink[row * block + 1 : (row + 1) * block, column * block + 1 : (column + 1) * block] = tag
     inside = np.r_[-gap, np.arange(n_cells) / n_cells]

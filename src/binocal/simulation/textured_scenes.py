@@ -11,7 +11,7 @@ from binocal.cameras import StereoRig
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
 from binocal.simulation.surroundings import SURROUNDINGS
-from binocal.simulation.textures import Texture, grain, slats, tiles, windows
+from binocal.simulation.textures import Texture, grain, shelves, slats, tiles, windows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +54,9 @@ class TexturedScene:
 
 
 TEXTURED_SCENES = ("street", "room")
+LEAST_YAW_DEG = (
+    18.0  # of views of a room against its walls, to either side in turn: face on, lines tell no focal length
+)
 
 
 def draw_textured_scene(kind: str, rig: StereoRig, n_pairs: int, rng: np.random.Generator) -> TexturedScene:
@@ -117,7 +120,10 @@ def _street(n_pairs: int, rng: np.random.Generator) -> TexturedScene:
 
 
 def _room(n_pairs: int, rng: np.random.Generator) -> TexturedScene:
-    """Walls with shelves and tiles, furniture at several depths; somebody walks."""
+    """Walls with shelves and windows, tiles above and below, furniture at several depths; somebody walks.
+
+    Edges run in three directions at right angles, so that vanishing points tell the camera.
+    """
     floor_m, ceiling_m = rng.uniform(1.0, 1.5), rng.uniform(1.0, 1.6)
     left_m, right_m, ahead_m, behind_m = rng.uniform(2, 3.5), rng.uniform(2, 3.5), rng.uniform(4, 7), 3.0
     make = _Maker(rng)
@@ -126,12 +132,16 @@ def _room(n_pairs: int, rng: np.random.Generator) -> TexturedScene:
     middle_x, half_x = (right_m - left_m) / 2, (right_m + left_m) / 2
     floor = make.patch([middle_x, floor_m, middle_z], (RIGHT, AHEAD), (half_x, half_z), 110, 25)
     end = make.patch([middle_x, middle_y, ahead_m], (RIGHT, DOWN), (half_x, half_y), 150, 25)
+    ceiling = make.patch([middle_x, -ceiling_m, middle_z], (RIGHT, AHEAD), (half_x, half_z), 190, 15)
+    sides = [
+        make.patch([x, middle_y, middle_z], (AHEAD, DOWN), (half_z, half_y), level, 30)
+        for x, level in ((-left_m, 140), (right_m, 120))
+    ]
     patches = [
         make.patterned(floor, tiles(0.4), 50),
-        make.patch([middle_x, -ceiling_m, middle_z], (RIGHT, AHEAD), (half_x, half_z), 190, 15),
-        make.patch([-left_m, middle_y, middle_z], (AHEAD, DOWN), (half_z, half_y), 140, 30),
-        make.patch([right_m, middle_y, middle_z], (AHEAD, DOWN), (half_z, half_y), 120, 30),
-        make.patterned(end, windows(0.5), 40),
+        make.patterned(ceiling, tiles(0.62), 60),
+        *(make.patterned(side, shelves(period), 45) for side, period in zip(sides, (0.72, 0.86), strict=True)),
+        make.patterned(end, windows(0.9), 55),
         make.patch([middle_x, middle_y, -behind_m], (RIGHT, DOWN), (half_x, half_y), 130, 30),
     ]
     for _ in range(12):
@@ -140,9 +150,11 @@ def _room(n_pairs: int, rng: np.random.Generator) -> TexturedScene:
         turn = so3.exp(np.array([0, rng.uniform(-0.9, 0.9), 0]))
         y = floor_m - half[1] if rng.random() < 0.6 else rng.uniform(-ceiling_m + half[1], floor_m - half[1])
         patches.append(make.patch([x, y, z], (turn @ RIGHT, DOWN), half, rng.uniform(60, 190), 40))
-    poses, movers = [], []
+    poses, movers, side = [], [], 1.0
     for _ in range(n_pairs):
-        turn = so3.exp(np.radians([rng.normal(0, 4), rng.uniform(-20, 20), rng.normal(0, 2)]))
+        pitch, yaw, roll = rng.normal(0, 4), rng.uniform(-20, 20), rng.normal(0, 2)
+        side = -side if poses else np.copysign(1.0, yaw)
+        turn = so3.exp(np.radians([pitch, side * (LEAST_YAW_DEG + abs(yaw)), roll]))
         poses.append(SE3(turn, -turn @ rng.uniform(-0.25, 0.25, 3)))
         place = [rng.uniform(-1, 1), floor_m - 0.8, rng.uniform(2.0, ahead_m - 0.5)]
         walker = make.patch(place, (RIGHT, DOWN), (0.25, 0.8), rng.uniform(60, 180), 40)

@@ -104,3 +104,12 @@ def tiles(period_m: float, n: int = 128) -> Texture:
     """Paving, tiles: dark joints around each period."""
     y, x = (np.mgrid[:n, :n] + 0.5) / n
     return Texture.of_bitmap(np.where((np.abs(x - 0.5) > 0.47) | (np.abs(y - 0.5) > 0.47), -1.0, 0.1), period_m)
+
+
+def shelves(period_m: float, n: int = 256) -> Texture:
+    """Shelves along a wall: two boards and an upright in each period, books of several heights between them."""
+    y, x = (np.mgrid[:n, :n] + 0.5) / n
+    height = np.array([0.30, 0.36, 0.26, 0.38, 0.33])[(5 * x).astype(int)]
+    out = np.where((y % 0.5) > 0.5 - height, -0.7 + 0.5 * ((5 * x).astype(int) % 2), 0.1)
+    out[(y % 0.5 < 0.05) | (np.abs(x - 0.5) > 0.47)] = 1.0
+    return Texture.of_bitmap(out, period_m)

@@ -9,6 +9,7 @@ bootstrap), one Newton step for each draw; the implicit function theorem for the
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
@@ -20,6 +21,7 @@ from binocal.solvers.relative_pose import RelativePose
 
 REGIONS = (4, 3)  # columns and rows of the left image
 DRAWS = 400
+LEAST_OF_A_PAIR = 20  # matches that have a part, for its own pose to be asked for
 STEP_SHARE = 0.5  # of a standard deviation of an intrinsic, either way, for its derivative
 
 
@@ -58,6 +60,46 @@ def covariance_between_pairs(equations: EpipolarEquations, pair: Int[ndarray, "n
     away = without - without.mean(axis=0)
     share = (len(present) - 1) / len(present)
     return share * away.T @ away
+
+
+@dataclass(frozen=True, slots=True)
+class PairsApart:
+    """How much of the residuals a pose for each pair would take away: RMS in pixels, and over what errors alike in a region explain."""
+
+    apart_px: float
+    share: float
+    over_regions: float
+
+
+def pairs_apart(equations: EpipolarEquations, pair: Int[ndarray, "n"], regions: Int[ndarray, "n"]) -> PairsApart | None:
+    """Whether pairs pull at their common minimum by more than their matches err, regions of each pair apart; None with one pair.
+
+    To first order, the kernel's weights held: a pair's own pose takes g' H^-1 g off its squared residuals, of which the scatter of
+    its regions' gradients at its own minimum explains the trace of H^-1 S.
+    """
+    J, w, r = equations.jacobian, equations.weights, equations.residuals_px
+    taken = explained = 0.0
+    n_pairs = 0
+    for k in np.unique(pair[w > 0]):
+        own = (pair == k) & (w > 0)
+        if own.sum() < LEAST_OF_A_PAIR:
+            continue
+        n_pairs += 1
+        root = np.sqrt(w[own])
+        basis, _ = np.linalg.qr(root[:, None] * J[own] / np.maximum(np.linalg.norm(J[own], axis=0), 1e-300))
+        residuals = root * r[own]
+        pulls = basis.T @ residuals
+        left = residuals - basis @ pulls
+        present, place = np.unique(regions[own], return_inverse=True)
+        scores = np.zeros((len(present), 5))
+        np.add.at(scores, place, basis * left[:, None])
+        taken += float(pulls @ pulls)
+        explained += float((scores**2).sum()) * len(present) / max(len(present) - 1, 1)
+    if n_pairs < 2:
+        return None
+    total = float(w @ r**2)
+    beyond = max(taken - explained, 0.0)
+    return PairsApart(float(np.sqrt(beyond / w.sum())), beyond / max(total, 1e-300), taken / max(explained, 1e-300))
 
 
 def draws_of_regions(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -105,28 +105,49 @@ def scaled_levels(image: UInt8[ndarray, "h w"], size: tuple[int, int] | None) ->
     Most boards are found at the first level, at a fraction of the cost of the last. ``size`` is the board's corners along
     the longer and the shorter side, None if it is not known.
     """
-    halvings = max(0, int(np.floor(np.log2(max(image.shape) / COARSEST_PX))))
-    pyramid = [image]
-    for _ in range(halvings):
-        pyramid.append(cv2.resize(pyramid[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     is_bright = np.mean(image[::8, ::8] >= 254) > MUCH_SATURATED
     most_linked = 0
-    for index, setting in enumerate(level_settings(halvings)):
+    pyramid = _Pyramid(image)
+    for index, setting in enumerate(level_settings(pyramid.halvings)):
         if most_linked < setting.least_linked and not is_bright:
             continue
-        if setting.halvings < 0:
-            scaled = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-        else:
-            scaled = pyramid[setting.halvings]
+        level = _search(pyramid.saddles(index, setting), _scaling(0.5**setting.halvings), size)
+        most_linked = max(most_linked, len(level.linked_px))
+        yield level
+
+
+def scaled_saddles(
+    image: UInt8[ndarray, "h w"], settings: Callable[[int], Sequence[LevelSetting]]
+) -> Iterator[tuple[SaddleImage, float]]:
+    """An image (8 bits) smoothed, with its saddles, by the settings for so many halvings; and the scale of each."""
+    pyramid = _Pyramid(image)
+    for index, setting in enumerate(settings(pyramid.halvings)):
+        yield pyramid.saddles(index, setting), 0.5**setting.halvings
+
+
+class _Pyramid:
+    """An image at its scales."""
+
+    def __init__(self, image: UInt8[ndarray, "h w"]) -> None:
+        self.halvings = max(0, int(np.floor(np.log2(max(image.shape) / COARSEST_PX))))
+        self._scaled = [image]
+
+    def saddles(self, index: int, setting: LevelSetting) -> SaddleImage:
+        """The image at a scale, smoothed, with its saddles: the ``index``-th search's, in arrays that the next image's takes again."""
+        scaled = self._at(setting.halvings)
         # As float32: rounded to grey levels, a blurred corner's curvature drowns.
         exact = _planes.take("exact", setting.halvings, scaled.shape)
         smooth, response = (_planes.take(use, index, scaled.shape) for use in ("smooth", "response"))
         np.copyto(exact, scaled)
         smooth = cv2.GaussianBlur(exact, (0, 0), setting.blur_px, dst=smooth)
-        saddles = SaddleImage.of(smooth, setting.radius_px, response)
-        level = _search(saddles, _scaling(0.5**setting.halvings), size)
-        most_linked = max(most_linked, len(level.linked_px))
-        yield level
+        return SaddleImage.of(smooth, setting.radius_px, response)
+
+    def _at(self, halvings: int) -> UInt8[ndarray, "h w"]:
+        if halvings < 0:
+            return cv2.resize(self._scaled[0], None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        while len(self._scaled) <= halvings:
+            self._scaled.append(cv2.resize(self._scaled[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+        return self._scaled[halvings]
 
 
 def stretched_levels(

@@ -61,6 +61,11 @@ class SaddleImage:
 
 def find_x_corners(saddles: SaddleImage, *, most: int = 1200) -> XCorners:
     """X-corners of a smoothed grey image, read on rings. The ``most`` strongest saddles are tried."""
+    return find_saddles(saddles, most=most)[0]
+
+
+def find_saddles(saddles: SaddleImage, *, most: int = 1200) -> tuple[XCorners, Float[ndarray, "n 2"]]:
+    """As :func:`find_x_corners`, and all the saddles that were tried."""
     response, radius_px = saddles.response, saddles.radius_px
     # A saddle of contrast c blurred by about s px has a response of about (c / 2 / s^2 / 3)^2. Corners cover a few
     # hundredths of an image at most, and peak far above what a tenth of its pixels reach.
@@ -74,7 +79,7 @@ def find_x_corners(saddles: SaddleImage, *, most: int = 1200) -> XCorners:
     if len(points) < most and enough > least:
         points = images.find_peaks(response, reach, margin, least, most)
     is_corner, rays, contrast = read_rings(saddles.smooth, points, radius_px)
-    return XCorners(points[is_corner], rays[is_corner], contrast[is_corner])
+    return XCorners(points[is_corner], rays[is_corner], contrast[is_corner]), points
 
 
 def read_rings(

@@ -73,6 +73,8 @@ void register_corner_fit(nb::module_& module);
 void register_image_lens(nb::module_& module);
 void register_joint_views(nb::module_& module);
 void register_library_words(nb::module_& module);
+void register_marker_cells(nb::module_& module);
+void register_marker_growth(nb::module_& module);
 void register_motion(nb::module_& module);
 void register_observe(nb::module_& module);
 void register_template_match(nb::module_& module);

@@ -11,6 +11,8 @@ NB_MODULE(_kernel, module) {
     binocal::register_image_lens(module);
     binocal::register_joint_views(module);
     binocal::register_library_words(module);
+    binocal::register_marker_cells(module);
+    binocal::register_marker_growth(module);
     binocal::register_motion(module);
     binocal::register_observe(module);
     binocal::register_template_match(module);

@@ -1,6 +1,6 @@
 // X-corners and their lattices: bilinear reading, rings, saddles, links along edges and connected grids. What each decides
 // and why stands in binocal/detection/finding; here are only the loops.
-#include "kernel.hpp"
+#include "sampler.hpp"
 
 #include <algorithm>
 #include <array>
@@ -14,38 +14,12 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr int kRing = 32;        // samples on a ring: 11 degrees apart, fine enough for sectors of 30 degrees
 constexpr int kNeighbours = 14;  // nearest corners that are tried as partners of a link
+constexpr int kNeighboursOfMarkers = 24;  // markers' codes have saddles of their own
 
-template <typename Pixel>
-using Plane = nb::ndarray<const Pixel, nb::ndim<2>, nb::device::cpu, nb::c_contig>;
 using Places = nb::ndarray<const double, nb::shape<-1, 2>, nb::device::cpu, nb::c_contig>;
 using FlagsOut = nb::ndarray<bool, nb::device::cpu, nb::c_contig>;
 using IndicesIn = nb::ndarray<const std::int64_t, nb::device::cpu, nb::c_contig>;
 using IndicesOut = nb::ndarray<std::int64_t, nb::device::cpu, nb::c_contig>;
-
-// Bilinear values; the border's value beyond the border, 0 where a coordinate is no number.
-template <typename Pixel>
-struct Sampler {
-    const Pixel* image;
-    std::ptrdiff_t height, width;
-
-    explicit Sampler(const Plane<Pixel>& plane)
-        : image(plane.data()), height(static_cast<std::ptrdiff_t>(plane.shape(0))), width(static_cast<std::ptrdiff_t>(plane.shape(1))) {
-        require(height > 0 && width > 0, "an image has one pixel at least; got an empty one");
-    }
-
-    float operator()(double x, double y) const {
-        if (!(std::isfinite(x) && std::isfinite(y))) return 0.0f;
-        x = std::min(std::max(x, 0.0), static_cast<double>(width - 1));
-        y = std::min(std::max(y, 0.0), static_cast<double>(height - 1));
-        const auto column = static_cast<std::ptrdiff_t>(x), row = static_cast<std::ptrdiff_t>(y);
-        const float a = static_cast<float>(x - column), b = static_cast<float>(y - row);
-        const std::ptrdiff_t right = column + 1 < width, down = row + 1 < height ? width : 0;
-        const Pixel* at = image + row * width + column;
-        const float top = at[0] + a * (static_cast<float>(at[right]) - at[0]);
-        const float bottom = at[down] + a * (static_cast<float>(at[down + right]) - at[down]);
-        return top + b * (bottom - top);
-    }
-};
 
 template <typename Pixel>
 void sample(const Plane<Pixel>& plane, const Places& points, nb::ndarray<float, nb::ndim<1>, nb::device::cpu, nb::c_contig> values) {
@@ -151,18 +125,6 @@ void localize_saddles(const Plane<Pixel>& plane, const Doubles& fit, std::ptrdif
     }
 }
 
-// Whether one side of the way from (x, y) is brighter than the other all along it, by 0.3 of the contrast.
-template <typename Pixel>
-bool is_edge(const Sampler<Pixel>& read, double x, double y, double way_x, double way_y, double sign, double contrast) {
-    const double length = std::hypot(way_x, way_y), aside = std::min(std::max(0.15, 1.5 / std::max(length, 1.0)), 0.4);
-    for (double share : {0.3, 0.5, 0.7}) {
-        const double at_x = x + share * way_x, at_y = y + share * way_y;
-        const float step = read(at_x - aside * way_y, at_y + aside * way_x) - read(at_x + aside * way_y, at_y - aside * way_x);
-        if (!(sign * step > 0.3 * contrast)) return false;
-    }
-    return true;
-}
-
 template <typename Pixel>
 void follow_edges(const Plane<Pixel>& plane, const Places& start, const Places& way, const Doubles& sign, const Doubles& contrast,
                   FlagsOut is_seen) {
@@ -176,30 +138,31 @@ void follow_edges(const Plane<Pixel>& plane, const Places& start, const Places& 
 }
 
 // The nearest points to each point, nearest first, -1 where there are no more. Points that are no numbers have none and are none's.
-std::vector<std::array<int, kNeighbours>> find_nearest(const double* points, int n_points) {
+template <int kNearest>
+std::vector<std::array<int, kNearest>> find_nearest(const double* points, int n_points) {
     std::vector<int> order;
     order.reserve(n_points);
     for (int i = 0; i < n_points; ++i)
         if (std::isfinite(points[2 * i]) && std::isfinite(points[2 * i + 1])) order.push_back(i);
     const int n = static_cast<int>(order.size());
     std::sort(order.begin(), order.end(), [&](int a, int b) { return points[2 * a + 1] < points[2 * b + 1]; });
-    std::vector<std::array<int, kNeighbours>> nearest(n_points);
+    std::vector<std::array<int, kNearest>> nearest(n_points);
     for (auto& none : nearest) none.fill(-1);
     for (int place = 0; place < n; ++place) {
         const int self = order[place];
         const double x = points[2 * self], y = points[2 * self + 1];
-        double distance[kNeighbours];
-        std::fill_n(distance, kNeighbours, std::numeric_limits<double>::infinity());
+        double distance[kNearest];
+        std::fill_n(distance, kNearest, std::numeric_limits<double>::infinity());
         auto& near = nearest[self];
         int up = place - 1, down = place + 1;
         while (up >= 0 || down < n) {
             const double above = up >= 0 ? y - points[2 * order[up] + 1] : std::numeric_limits<double>::infinity();
             const double below = down < n ? points[2 * order[down] + 1] - y : std::numeric_limits<double>::infinity();
-            if (std::pow(std::min(above, below), 2) > distance[kNeighbours - 1]) break;
+            if (std::pow(std::min(above, below), 2) > distance[kNearest - 1]) break;
             const int other = above < below ? order[up--] : order[down++];
             const double dx = points[2 * other] - x, dy = points[2 * other + 1] - y, d = dx * dx + dy * dy;
-            if (!(d < distance[kNeighbours - 1])) continue;
-            int k = kNeighbours - 1;
+            if (!(d < distance[kNearest - 1])) continue;
+            int k = kNearest - 1;
             for (; k > 0 && distance[k - 1] > d; --k) distance[k] = distance[k - 1], near[k] = near[k - 1];
             distance[k] = d, near[k] = other;
         }
@@ -226,9 +189,10 @@ int nearest_ray(const std::array<double, 8>& direction, double x, double y, doub
 }
 
 // For each corner and ray the nearest neighbour along it that an edge leads to, and which of its rays points back.
-template <typename Pixel>
+// Corners of boards with markers have more neighbours to try, and edges that are read close by.
+template <int kNearest, typename Pixel>
 void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, std::int64_t* neighbour, std::int64_t* back_ray) {
-    const auto nearest = find_nearest(corners.points, corners.n);
+    const auto nearest = find_nearest<kNearest>(corners.points, corners.n);
     const double least_cosine = std::cos(max_turn);
     std::fill_n(neighbour, 4 * corners.n, -1);
     std::fill_n(back_ray, 4 * corners.n, -1);
@@ -245,7 +209,10 @@ void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, s
             if (!(std::min(cosine, cosine_back) > least_cosine) || ray % 2 == back % 2) continue;
             const double weaker = std::min(contrast, corners.contrast[other]);
             if (!(weaker > 0.15 * std::max(contrast, corners.contrast[other]))) continue;
-            if (!is_edge(read, at[0], at[1], x, y, ray % 2 ? -1.0 : 1.0, weaker)) continue;
+            const double sign = ray % 2 ? -1.0 : 1.0;
+            if (kNearest == kNeighboursOfMarkers ? !is_marker_edge(read, at[0], at[1], x, y, sign, weaker)
+                                                 : !is_edge(read, at[0], at[1], x, y, sign, weaker))
+                continue;
             neighbour[4 * i + ray] = other;
             back_ray[4 * i + ray] = back;
         }
@@ -334,7 +301,7 @@ std::size_t grow(const double* points, const std::int64_t* neighbour, const std:
 
 template <typename Pixel>
 void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles& rays, const Doubles& contrast, double max_turn,
-                  IndicesOut neighbour, IndicesOut back_ray) {
+                  bool has_markers, IndicesOut neighbour, IndicesOut back_ray) {
     const std::size_t n = points.shape(0);
     require(rays.size() == 4 * n && contrast.size() == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n, "the arrays' lengths do not match");
     Corners corners{points.data(), rays.data(), contrast.data(), {}, static_cast<int>(n)};
@@ -347,7 +314,8 @@ void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles
             corners.directions[i][2 * k] = std::cos(corners.rays[4 * i + k]);
             corners.directions[i][2 * k + 1] = std::sin(corners.rays[4 * i + k]);
         }
-    link(read, corners, max_turn, to, back);
+    if (has_markers) link<kNeighboursOfMarkers>(read, corners, max_turn, to, back);
+    else link<kNeighbours>(read, corners, max_turn, to, back);
 }
 
 std::size_t grow_groups(const Places& points, const IndicesIn& neighbour, const IndicesIn& back_ray, IndicesOut members, IndicesOut cells, IndicesOut turns,
