@@ -24,7 +24,7 @@ def test_the_first_half_trains_and_the_second_is_solved(monkeypatch, tmp_path):
     short = type(case)(case.name, lambda seed: sample, case.measure, (method,))
     (result,) = results_of(short, 0)
     figures = {m.criterion: m.value for m in result.measured}
-    assert figures["ended in the right minimum"] == 100 and figures["held-out iterations"] >= 1
+    assert figures["ended in the right minimum"] == 100 and figures["held-out iterations at the end"] >= 1
     (history,) = trained.histories_in(tmp_path, (0, 1))
     assert history.targets == "hard" and b"Critic loss" in training_drawing([history])
     off = history.value_predicted - history.value_monte_carlo

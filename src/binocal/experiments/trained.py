@@ -6,6 +6,7 @@ import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from binocal.rl.history import TrainingHistory, load_history, write_history
 from binocal.rl.policy import Policy
 from binocal.rl.real_rig_batches import network_widths, rigs_from_calibration, tolerance_sigma
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
+
+if TYPE_CHECKING:
+    from binocal.rl.training.trainer import Training
 
 TABLE = "training"
 TARGETS = ("soft", "hard")
@@ -79,8 +83,16 @@ def histories_in(folder: Path, seeds: tuple[int, ...]) -> list[TrainingHistory]:
 
 
 def train_on(sample: Sample, targets: str, n_steps: int, seed: int) -> tuple[Policy, TrainingHistory]:
-    """An agent from the training half: rewards look at no truth, layers and nodes follow the number of views."""
-    from binocal.rl.training.trainer import Training, default_options, run_training
+    """The agent at the end of its training: rewards look at no truth, layers and nodes follow the number of views."""
+    from binocal.rl.training.trainer import run_training
+
+    training = _training(sample, targets, n_steps, seed)
+    run_training(training, on_check=lambda *_: None)
+    return training.policy({}), training.history()
+
+
+def _training(sample: Sample, targets: str, n_steps: int, seed: int) -> Training:
+    from binocal.rl.training.trainer import Training, default_options
 
     views = sample.training
     assert views is not None  # given by the case
@@ -90,13 +102,25 @@ def train_on(sample: Sample, targets: str, n_steps: int, seed: int) -> tuple[Pol
     options = default_options(AgentKind.DRL)
     td3 = replace(options.td3, targets=targets, actor_widths=network_widths(views.n_views))
     options = replace(options, seed=seed, n_steps=n_steps, td3=td3, rigs_per_pool=N_RIGS)
-    training = Training(options, [(rigs, tolerance)], [(held_out, tolerance)])
-    run_training(training, on_check=lambda *_: None)
-    return training.policy({}, best=True), training.history()
+    return Training(options, [(rigs, tolerance)], [(held_out, tolerance)])
+
+
+@dataclass(frozen=True, slots=True)
+class BeforeTraining:
+    """The agent as a training run begins: its action is near the one that every actor starts from."""
+
+    label: str = "drl, before training"
+
+    def __call__(self, sample: Sample) -> tuple[Made, ...]:
+        """See :class:`binocal.experiments.case.Method`."""
+        training = _training(sample, TARGETS[0], N_STEPS, sample.evidence[1])
+        training.warm_up()
+        return (led_from_guesses(sample, training.policy({}), GUESSES[GUESS]),)
 
 
 def _figures(history: TrainingHistory) -> Mapping[str, tuple[float, str]]:
     """The paper's convergence of the loss, and what it does not prove: the critic's values beside the returns that followed."""
+    best = int(np.argmin(history.held_out_iterations))
     off = history.value_predicted - history.value_monte_carlo
     figures = {
         "critic's loss at the end": (
@@ -105,7 +129,12 @@ def _figures(history: TrainingHistory) -> Mapping[str, tuple[float, str]]:
         ),
         "its value less the return, mean": (float(off.mean()), "reward"),
         "its value less the return, RMS": (float(np.sqrt(np.mean(off**2))), "reward"),
-        "held-out iterations": (float(history.held_out_iterations[-1]), ""),
+        "held-out iterations before training": (float(history.held_out_iterations[0]), ""),
+        "held-out iterations at the end": (float(history.held_out_iterations[-1]), ""),
+        "the best check came after": (
+            100 * float(history.held_out_step[best]) / float(history.step[-1]),
+            "% of the run",
+        ),
     }
     if history.converged_step is not None:
         share = 100 * history.converged_step / history.step[-1]
@@ -117,4 +146,4 @@ def trained_cases(prior: StereoRig, folder: Path) -> list[Case]:
     """Both kinds of targets, and on the same second halves the shipped agent and no agent."""
     own = tuple(TrainsFirst(f"drl, {targets} targets, trained here", targets, str(folder)) for targets in TARGETS)
     others = (Leads("drl, as shipped", "drl", GUESSES[GUESS]), Leads("lm", "lm", GUESSES[GUESS]))
-    return [Case(CASE, CornersInHalves(prior), as_said, (*own, *others), table=TABLE)]
+    return [Case(CASE, CornersInHalves(prior), as_said, (*own, BeforeTraining(), *others), table=TABLE)]

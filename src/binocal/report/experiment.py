@@ -12,7 +12,10 @@ from binocal.errors import MissingExtraError
 
 WIDTH_INCHES, FRAME_INCHES = 8.0, 1.35
 ROW_INCHES, CASE_INCHES = 0.18, 0.16  # of a method, and of each of its cases
-MARKS = (("o", "#0072b2"), ("s", "#d55e00"), ("^", "#4d4d4d"), ("v", "#56b4e9"), ("P", "#8c5a00"), ("X", "#999999"))
+MARKS = (
+    *(("o", "#0072b2"), ("s", "#d55e00"), ("^", "#4d4d4d"), ("v", "#56b4e9"), ("P", "#8c5a00"), ("X", "#999999")),
+    *(("<", "#009e73"), (">", "#b0558f"), ("*", "#000000"), ("p", "#6a6a6a"), ("h", "#0072b2"), ("d", "#d55e00")),
+)
 """Shape and colour of each case: the shapes tell them apart in grey (colours of Okabe & Ito 2008 and greys)."""
 
 
@@ -69,6 +72,11 @@ def draw_spans(spans: Sequence[Span], axis: str, title: str, *, is_log: bool = F
     axes.set(xlabel=axis, title=title)
     if is_log:
         axes.set_xscale("log")
+        low, high = axes.get_xlim()
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.xaxis.set_minor_formatter(
+            lambda value, _: f"{value:g}" if high < 100 * low and f"{value:e}"[0] in "246" else ""
+        )
     axes.grid(axis="x", color="0.88", linewidth=0.6)
     for at in np.arange(0.5, len(labels) - 1):
         axes.axhline(at, color="0.93", linewidth=0.6)
