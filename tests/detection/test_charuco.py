@@ -132,3 +132,15 @@ def test_markers_from_another_id_on(shoot):
     assert found.is_seen.all() and np.abs(found.points_px - shot.corners_px).max() < 0.15, found.reason
     other = detect(shot.image, parse_board(SPEC))
     assert not other.is_found
+
+
+def test_few_corners_beside_many_markers_are_noted(shoot):
+    """Discs on two thirds of the corners: the markers between them are whole."""
+    shot = shoot(SPEC, size_wh=(800, 600), distance=1.2)
+    image = shot.image.copy()
+    for x, y in shot.corners_px[np.arange(len(shot.corners_px)) % 3 > 0]:
+        cv2.circle(image, (round(x), round(y)), 9, 120, -1)
+    found = detect(image, shot.board)
+    assert found.is_found and "corners beside its markers could be measured" in found.note, (found.reason, found.note)
+    seen = found.is_seen
+    assert np.abs(found.points_px - shot.corners_px)[seen].max() < 0.3

@@ -114,7 +114,7 @@ def test_mirrored_images_of_the_board_are_said_to_be_mirrored(folders, tmp_path,
     assert re.search(r"show the board mirrored \(.*as the cameras took them", str(refusal_of(tmp_path, spec)))
 
 
-@pytest.mark.parametrize(("marker", "distance"), [("22mm:DICT_5X5_50", 7.3), ("15mm:DICT_6X6_250", 4.9)])
+@pytest.mark.parametrize(("marker", "distance"), [("18mm:DICT_6X6_250", 6.5), ("15mm:DICT_6X6_250", 5.4)])
 def test_markers_too_small_to_be_read_are_named_with_their_size(folders, marker, distance):
     spec = f"charuco:11x8:30mm:{marker}"
     folder = folders(spec, distance=distance, size_wh=(640, 480), blur_px=0.6)

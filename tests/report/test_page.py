@@ -142,7 +142,10 @@ def test_same_inputs_same_page(folder, page):
 
 def test_warnings_come_before_depth(folder):
     calibration = read_calibration(folder / "rig.json")
-    good = headline_of(calibration, ())
+    unchecked = headline_of(calibration, ())
+    assert (unchecked.level, unchecked.sentence) == ("care", "No fault is known.")
+    assert unchecked.points == ("Nothing was checked anew: the corners of the calibration are not at hand.",)
+    good = headline_of(calibration.with_evidence(seen(0)), ())
     assert (good.level, good.sentence, good.points) == ("good", "No fault found.", ())
     kept = finding("lens-model-misfits", model="brown4", profile_px=0.1, share_percent=9.0, standard_errors=4.0)
     care = headline_of(calibration, (kept,))
@@ -170,6 +173,7 @@ def test_without_corners_the_page_says_so(folder, tmp_path):
     run = write_report(tmp_path / "rig.json", tmp_path / "report.html")
     assert any("--evidence" in note for note in run.notes)
     assert 'id="coverage"' not in run.page and 'id="figures"' in run.page
+    assert (run.headline.level, run.headline.sentence) == ("good", "No fault is known.")
 
 
 def test_a_rig_of_which_little_is_known_has_a_page(folder, tmp_path):
@@ -312,6 +316,12 @@ def test_in_a_browser(folder, capsys):
         dragged = shown.value(outlines)
         assert dragged != before
         shown.value("document.getElementById('scene-view').focus({preventScroll: true})")
+        x, y = shown.value(
+            "(() => { const b = [...document.querySelectorAll('#scene .board')].at(-1).getBoundingClientRect();"
+            " return [b.left + b.width / 2, b.top + b.height / 2]; })()"
+        )
+        shown.mouse("mouseMoved", x, y)
+        assert "view" in shown.value("document.getElementById('tip').textContent")
         shown.key("ArrowLeft")
         assert shown.value(outlines) not in (before, dragged)
         shown.key("0")

@@ -16,7 +16,7 @@ from binocal.boards import Board
 from binocal.detection.finding.marker_codes import CodeKind
 from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import april_grid
-from binocal.detection.finding.marker_search import MarkerSighting, search_markers
+from binocal.detection.finding.marker_search import MarkerSighting, choose_way, few_kept_note, search_markers
 from binocal.detection.finding.markers import find_markers, get_dictionary
 from binocal.detection.finding.planes import grid_residuals
 from binocal.detection.finding.regularity import keep_regular
@@ -74,11 +74,13 @@ def _detect_by_lattice(
     search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else MIN_TAGS)
     if not search.sightings:
         return None, None, search.is_mirrored
-    best, *others = search.sightings
-    is_proved = layout is None and all(best.n_read >= other.n_read + LEAST_MORE_READ for other in others)
+    best, is_alone = choose_way(search.sightings, LEAST_MORE_READ)
+    is_proved = layout is None and is_alone
     found = _measure_lattice(grey, board, best)
-    if found.is_found and layout is None and not is_proved:
-        found = replace(found, note=LAYOUT_UNKNOWN)
+    if found.is_found:
+        notes = [LAYOUT_UNKNOWN] if layout is None and not is_proved else []
+        notes += [text for text in [few_kept_note(int(found.is_seen.sum()), best.n_predicted)] if text]
+        found = replace(found, note="; ".join(notes))
     return found, layouts[best.way] if is_proved else None, False
 
 

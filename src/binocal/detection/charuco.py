@@ -14,7 +14,13 @@ from binocal.detection.finding.arrangements import charuco_squares
 from binocal.detection.finding.marker_codes import CodeKind
 from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import charuco_grid
-from binocal.detection.finding.marker_search import LEAST_SURE, MarkerSighting, search_markers
+from binocal.detection.finding.marker_search import (
+    LEAST_SURE,
+    MarkerSighting,
+    choose_way,
+    few_kept_note,
+    search_markers,
+)
 from binocal.detection.finding.markers import find_markers, get_dictionary
 from binocal.detection.finding.planes import apply_homography, grid_residuals
 from binocal.detection.finding.regularity import keep_regular
@@ -88,14 +94,15 @@ def _detect_by_lattice(
     search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else LEAST_SURE)
     if not search.sightings:
         return None, "", search.is_mirrored
-    best, *others = search.sightings
-    is_proved = len(layouts) > 1 and all(best.n_read >= other.n_read + LEAST_MORE_READ for other in others)
-    proved = layouts[best.way] if is_proved else "current" if board.rows % 2 else ""
+    best, is_alone = choose_way(search.sightings, LEAST_MORE_READ)
+    proved = "current" if board.rows % 2 else layouts[best.way] if is_alone and not layout else ""
     predicted = best.points_px(board.n_points)
     spacing, height = best.steps_px(board.n_points)
     found = _measure(grey, stretched, board, predicted, spacing, height, best)
-    if found.is_found and not layout and not proved:
-        found = replace(found, note=LAYOUT_UNKNOWN)
+    if found.is_found:
+        notes = [LAYOUT_UNKNOWN] if not layout and not proved else []
+        notes += [text for text in [few_kept_note(int(found.is_seen.sum()), best.n_predicted)] if text]
+        found = replace(found, note="; ".join(notes))
     return found, proved, False
 
 
@@ -121,8 +128,10 @@ def _detect_by_markers(
     if not reading.misfit < MAX_MISFIT:
         size = f"{board.columns}x{board.rows}"
         return not_found(board.n_points, f"its {len(ids)} markers do not lie as on a board of {size} squares"), proved
-    found = _measure(grey, stretched, board, *_predict(board, quads, reading))
-    notes = []
+    predicted, spacing, height = _predict(board, quads, reading)
+    found = _measure(grey, stretched, board, predicted, spacing, height)
+    few = few_kept_note(int(found.is_seen.sum()), int(np.isfinite(predicted[:, 0]).sum()))
+    notes = [few] if few else []
     if not layout and not proved and board.rows % 2 == 0:
         notes.append(LAYOUT_UNKNOWN)
     if is_stray.any():

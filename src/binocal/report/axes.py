@@ -22,6 +22,7 @@ def image_axes(axes: Axes, size_wh: tuple[int, int], title: str) -> None:
     width, height = size_wh
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), title=title, xlabel="x (px)", ylabel="y (px)")
     axes.set_aspect("equal")
+    axes.locator_params(nbins=6)
     for spine in axes.spines.values():
         spine.set_visible(True)
 

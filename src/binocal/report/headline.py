@@ -61,6 +61,12 @@ def headline_of(
         more = f" (and {len(titles) - 1} more warning{'s' if len(titles) > 2 else ''})" if len(titles) > 1 else ""
         sentence = f"Use with care: {met + ', but ' if met else ''}{_lower(titles[0])}{more}."
         titles = titles[1:]
+    elif not n and calibration.evidence is None:
+        level = "good" if depth else "care"
+        sentence, titles = (
+            "No fault is known.",
+            ["Nothing was checked anew: the corners of the calibration are not at hand"],
+        )
     else:
         level = "good"
         met = (

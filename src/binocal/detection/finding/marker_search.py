@@ -52,8 +52,9 @@ LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to n
 MOST_COMPARED = 64  # faces by which lens and blur are chosen
 ENOUGH_SHARE = 0.9  # of the corners that should be seen
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
-LEAST_CELL_PX = 1.0  # of a marker's code: below it chance reads as well
+LEAST_CELL_PX = 0.95  # of a marker's code: below it chance reads as well
 INSIDE_PX = 6.0
+LEAST_KEPT = 0.7  # of the corners that markers predict; with fewer a note says so
 PROBE = 0.2  # of a face's side, about a corner, to see how large it is there
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
 
@@ -105,7 +106,9 @@ class MarkerSighting:
     is_seed: Bool[ndarray, "rows columns"]
     """Corners of markers that voted."""
     likeness: Float[ndarray, "m"] = field(default_factory=lambda: np.zeros(0))
-    """Of each marker's face to its code; NaN where the face is not in the image."""
+    """Of each marker's face to its code; NaN where the face is not in the image, or hidden in part."""
+    n_predicted: int = 0
+    """Corners at which the markers that are read say that there is one."""
 
     @property
     def n_read(self) -> int:
@@ -149,6 +152,20 @@ class MarkerSearch:
     is_mirrored: bool = False
     n_markers: int = 0
     """Faces that were read for sure."""
+
+
+def choose_way(sightings: Sequence[MarkerSighting], least_more: int) -> tuple[MarkerSighting, bool]:
+    """The sighting that bears ``least_more`` markers more than any other, and True; else the first of the likely ways, and False."""
+    most = max(each.n_read for each in sightings)
+    likely = sorted((each for each in sightings if each.n_read > most - least_more), key=lambda each: each.way)
+    return likely[0], len(likely) == 1
+
+
+def few_kept_note(n_kept: int, n_predicted: int) -> str:
+    """What a careful reader should know where few of the corners that the markers predict were kept; "" otherwise."""
+    if n_kept >= LEAST_KEPT * n_predicted:
+        return ""
+    return f"only {n_kept} of the {n_predicted} corners beside its markers could be measured"
 
 
 def marker_level_settings(halvings: int) -> list[LevelSetting]:
@@ -217,7 +234,7 @@ def _find_faces(
     )
     members, is_bright = find_faces(*links)
     quads = _from_level(corners.points_px, scale)[members]
-    is_large = np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).min(axis=1) >= least_side_px
+    is_large = _areas(quads) >= least_side_px**2
     return peaks, _Faces(quads[is_large], is_bright[is_large])
 
 
@@ -421,8 +438,11 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
     padded[1:-1, 1:-1] = sighting.known_px
     quads = padded[crossings[..., 1] + 1, crossings[..., 0] + 1]
     is_known = np.isfinite(quads[..., 0])
-    # Faces of the board's rim have two crossings, or one: the others are where the lattice leads.
-    wanted = ~is_known & (is_known.sum(axis=1) >= 2)[:, None] & ~grid.is_inner[:, None]
+    # Faces of the board's rim have two crossings, or one: the others are where the lattice leads. Where crossings are hidden
+    # the marker may be, too: it cannot deny the board.
+    n_known = is_known.sum(axis=1)
+    is_judged = (n_known == 4) | (~grid.is_inner & (n_known >= 2))
+    wanted = ~is_known & (n_known >= 1)[:, None]
     quads[wanted] = predict_places(grid.lines, sighting.known_px, way.lens, corners[wanted])
     size_wh = np.array(image.shape[::-1])
     inside = np.isfinite(quads[..., 0]).all(axis=1) & ((quads > -0.5) & (quads < size_wh - 0.5)).all(axis=(1, 2))
@@ -432,6 +452,8 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
         templates = code_templates(way.kind, first_id, len(grid.faces), way.blur_cells)
         rest = templates.residual(values)
         likeness[inside] = (rest * templates.turned[np.nonzero(inside)[0], 0]).sum(axis=1)
+    sighting.n_predicted = _count_crossings(crossings[np.nan_to_num(likeness) >= READ], rows, columns)
+    likeness[~is_judged] = np.nan
     sighting.likeness = likeness
     known = likeness[np.isfinite(likeness) & is_known.all(axis=1)]
     # On a board of other columns some rows fit, and those about them deny it.
@@ -445,6 +467,11 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
         mark[crossings[which][..., 1] + 1, crossings[which][..., 0] + 1] = True
     is_wrong = denied[1:-1, 1:-1] & ~borne[1:-1, 1:-1] & ~sighting.is_seed
     sighting.known_px[is_wrong] = np.nan
+
+
+def _count_crossings(crossings: Int[ndarray, "m 4 2"], rows: int, columns: int) -> int:
+    inside = np.all((crossings >= 0) & (crossings < (columns, rows)), axis=-1)
+    return len(np.unique(crossings[inside], axis=0))
 
 
 def _best(sightings: list[MarkerSighting]) -> list[MarkerSighting]:

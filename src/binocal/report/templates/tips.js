@@ -19,7 +19,7 @@ const pageTip = (() => {
       const box = svg.getBoundingClientRect(), scale = box.width / width, [x, y, text] = tips[chosen];
       show(text, box.left + x * scale, box.top + y * scale);
     };
-    svg.addEventListener("pointermove", (event) => {
+    const nearest = (event) => {
       const box = svg.getBoundingClientRect(), scale = box.width / width;
       const x = (event.clientX - box.left) / scale, y = (event.clientY - box.top) / scale;
       let best = -1, least = 28 * 28;
@@ -30,7 +30,9 @@ const pageTip = (() => {
       if (best < 0) { hide(); return; }
       chosen = best;
       show(tips[best][2], event.clientX, event.clientY);
-    });
+    };
+    svg.addEventListener("pointermove", nearest);
+    svg.addEventListener("pointerdown", nearest);
     svg.addEventListener("pointerleave", hide);
     figure.addEventListener("blur", hide);
     figure.addEventListener("keydown", (event) => {
