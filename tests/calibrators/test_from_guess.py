@@ -28,9 +28,10 @@ def joint(corners):
     return calibrate(corners, calibrator="lm", model="brown4")
 
 
-@pytest.mark.parametrize("agent", AGENTS)
 @pytest.mark.parametrize(
-    "guess", ({"baseline_m": 0.06}, {"guess_deg_m": FAR}, {}), ids=("data sheet", "far", "nothing")
+    ("agent", "guess"),
+    [*((agent, {"guess_deg_m": FAR}) for agent in AGENTS), ("drl", {"baseline_m": 0.06}), ("drl", {})],
+    ids=(*AGENTS, "data sheet", "nothing known"),
 )
 def test_it_ends_where_the_joint_solve_does(corners, joint, agent, guess):
     made = calibrate(corners, calibrator="from-guess", model="brown4", options={"agent": agent} | guess)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-QUICK_IMAGES, QUICK_SEEDS = 48, 3
+QUICK_IMAGES, QUICK_SEEDS = 32, 2
 
 
 LEAST_PAIRS = 8  # of a sample, both halves
