@@ -83,6 +83,20 @@ def test_the_stated_deviation_is_that_of_many_draws():
     assert stated.baseline_sigma_m == pytest.approx(np.linalg.norm(drawn, axis=1).std(), rel=0.2)
 
 
+def test_a_length_that_is_given_has_no_deviation():
+    """What is left along the translation is rounding, as 7e-14 m were, and would print with 12 decimals."""
+    rig = replace(RIG, T_right_left=SE3(RIG.T_right_left.R, np.array([-0.537, -0.0042, -0.0069])))
+    made = calibration(rig, [0.1, *[1e-4] * 3, *[1e-3] * 3])
+    along = rig.T_right_left.t / rig.baseline_m
+    across = np.eye(7)
+    across[4:, 4:] -= np.outer(along, along)
+    for sigma_m in (0.0, 1e-7, 1e-3):
+        matrix = across @ made.covariance.matrix @ across.T
+        matrix[4:, 4:] += sigma_m**2 * np.outer(along, along) + 1e-27 * np.eye(3)
+        given = replace(made, covariance=replace(made.covariance, matrix=matrix))
+        assert given.baseline_sigma_m == pytest.approx(sigma_m, rel=1e-3, abs=0)
+
+
 def test_lengths_are_averaged_and_contradictions_named():
     start = calibration(RIG, [0.1, *[1e-4] * 3, *[1e-3] * 3])
     good, wrong = seen(RIG, ENDS_M, LENGTH_M), seen(RIG, ENDS_M + [2.0, 0.1, 1.0], 1.2 * LENGTH_M)
