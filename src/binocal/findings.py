@@ -138,7 +138,7 @@ _KINDS = (
         "rig-is-another", _R, "The images show another rig than the one given",
         "the images show a right camera turned by {turn_deg:.1f} deg against the rig given and a translation that points {direction_deg:.0f} "
         "deg away from it: {cause}; {remedy}.",
-        "check the images, their sides and the rig's file; --start none takes no pose for granted", InconsistentViewsError,
+        "check the images, their sides and the rig's file; `binocal recalibrate --start none` takes no pose for granted", InconsistentViewsError,
     ),
     FindingKind(
         "pose-unlike-file", _W, "The pose found is far from that of the rig's file",
