@@ -12,7 +12,7 @@ import typer
 
 import streets
 from binocal.app.known_lengths import KnownLength, measure_known_lengths
-from binocal.app.natural import as_given
+from binocal.app.natural import NaturalSource, as_given, length_unlike_file
 from binocal.calibrators.known_length import POINTED_SIGMA_PX, SeenLength, with_known_lengths
 from binocal.cameras import Camera, StereoRig
 from binocal.cli import main
@@ -97,6 +97,26 @@ def test_a_length_that_is_given_has_no_deviation():
         assert given.baseline_sigma_m == pytest.approx(sigma_m, rel=1e-3, abs=0)
 
 
+@pytest.mark.parametrize(
+    ("factor", "sigma_m", "is_metric", "is_said"),
+    [
+        (0.1, 0.0, True, True),
+        (1.3, 0.01, True, True),
+        (1.3, 0.04, True, False),
+        (1.03, 0.0, True, False),
+        (0.1, 0.0, False, False),
+    ],
+)
+def test_a_baseline_far_from_the_files_is_said(factor, sigma_m, is_metric, is_said):
+    """A unit mixed up or an end that lies elsewhere shows in no residual; 3 % more, or what its deviation allows, is nothing."""
+    rig = replace(RIG, T_right_left=SE3(RIG.T_right_left.R, factor * RIG.T_right_left.t))
+    given = calibration(rig, [0.1, *[1e-4] * 3, *[sigma_m] * 3])
+    given = replace(given, provenance={**given.provenance, "length_from": "--baseline"})
+    found = length_unlike_file(given, NaturalSource([], replace(RIG, is_metric=is_metric)))
+    assert [one.code for one in found] == ["baseline-unlike-file"] * is_said
+    assert all(f"by --baseline the cameras stand {rig.baseline_m:.4g} m apart" in one.text for one in found)
+
+
 def test_lengths_are_averaged_and_contradictions_named():
     start = calibration(RIG, [0.1, *[1e-4] * 3, *[1e-3] * 3])
     good, wrong = seen(RIG, ENDS_M, LENGTH_M), seen(RIG, ENDS_M + [2.0, 0.1, 1.0], 1.2 * LENGTH_M)
@@ -152,6 +172,7 @@ def test_recalibrate_takes_its_length_from_the_scene(images, tmp_path, capsys):
     assert abs(new.rig.baseline_m - RIG.baseline_m) < 3 * new.baseline_sigma_m < 0.06 * RIG.baseline_m
     assert document["provenance"]["length_from"] == "a known length in the scene"
     assert document["provenance"]["known_lengths"][0]["pair"] == "7"
+    assert "baseline-unlike-file" in [one["code"] for one in document["findings"]]  # the old file has half of it
     assert main([*arguments, "nine:1,2:3,4=1m", "--force"]) == 3 and "pair nine" in capsys.readouterr().err
 
 

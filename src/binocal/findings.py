@@ -147,6 +147,12 @@ _KINDS = (
         "check that both cameras exposed together",
     ),
     FindingKind(
+        "baseline-unlike-file", _W, "The baseline given is far from that of the rig's file",
+        "by {said} the cameras stand {given_m:.4g} m apart, by the rig's file {filed_m:.4g} m: with the rig written all lengths and depths "
+        "are {ratio:.3g} times what they were; {remedy}.",
+        "check the number, its unit, and where the ends of a known length lie; nothing is wrong if the file's length was a guess",
+    ),
+    FindingKind(
         "cameras-are-others", _R, "The images are not of the cameras given",
         "the cameras' own parameters do not fit the images: by the best pose matches are {held_px:.2f} px off (RMS), and {pattern_px:.2f} px "
         "of it, {share_percent:.0f} % of the squares, are a pattern that only other cameras would not leave: the rig's file is of other "
