@@ -218,3 +218,8 @@ def test_the_words_of_the_option():
 def test_a_length_is_given_once(option, words, capsys):
     assert main(["recalibrate", "--dataset", "euroc:x", "--known-length", "0:1,2:3,4=1m", option]) == 2
     assert words in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_reference_keeps_the_files_length(capsys):
+    assert main(["recalibrate", "--dataset", "euroc:x", "--reference", "--baseline", "1m"]) == 2
+    assert "whose length stays: leave out --baseline" in capsys.readouterr().err
