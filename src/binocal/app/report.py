@@ -16,7 +16,7 @@ from binocal.boards import Board, parse_board
 from binocal.errors import BinocalError, DataError
 from binocal.evidence import Detections
 from binocal.formats.detections_npz import is_detections_file, read_detections
-from binocal.formats.rig_json import holds_calibration, read_calibration
+from binocal.formats.rig_json import read_calibration, require_calibration
 from binocal.images import CHANNELS
 from binocal.images.preprocessing import Preparation
 from binocal.output import check_output, write_together
@@ -90,12 +90,7 @@ def write_report(
     for path in (output, pdf):
         if path is not None:
             check_output(path, force=force)
-    if not rig.exists():
-        raise DataError(f"{rig}: there is no such file; a report needs the rig.json that `binocal calibrate` wrote.")
-    if not holds_calibration(rig):
-        raise DataError(
-            f"{rig}: holds no calibration of binocal's; a report needs the rig.json that `binocal calibrate` wrote."
-        )
+    require_calibration(rig, "a report")
     run = make_report(read_calibration(rig), rig, request, progress=progress)
     contents: dict[str | Path, str | bytes] = {output: run.page}
     if pdf is not None:
