@@ -59,6 +59,8 @@ CHECKED = [
     "app",
     "benchmark",
     "report",
+    "experiments",
+    "printing",
 ]
 shape_checks.install([f"binocal.{name}" for name in CHECKED])
 

@@ -76,7 +76,7 @@ def test_a_rig_that_is_turned_on_the_way(tmp_path, monkeypatch):
 
     def progress(*call):
         calls.append(call)
-        alive.append(sum(isinstance(thing, PointMatches) for thing in gc.get_objects()))
+        alive.append(sum(type(thing) is PointMatches for thing in gc.get_objects()))
 
     found = stream.check_stream(source, stream.StreamOptions(fps=1.0, progress=progress))
     assert len(calls) == 14 and max(alive) - alive[0] <= 2  # of the pairs before nothing is kept but their turns

@@ -17,6 +17,7 @@ from binocal.solvers import robust
 
 OPTIONAL = {
     "EnvSpec": "gymnasium resolves it in its own modules only",
+    "Axes": "needs the report extra",
     "TrainingRun": "needs the train extra",
 }
 

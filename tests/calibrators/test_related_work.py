@@ -166,6 +166,7 @@ def test_what_a_method_cannot_do_is_refused_by_name():
         "opencv": ("skew", "prior", "as drawn", "moment"),
         "absolute-orientation": ("prior", "as drawn", "moment"),
         "wide-field": ("fisheye4",),
+        "from-guess": ("prior",),
     }
     of_boards = [name for name in CALIBRATORS if evidence_of(name) == "board"]
     for name in of_boards:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from binocal.boards import Board
 from binocal.errors import BinocalError, CalibrationError
 from binocal.evidence import Detections
+from binocal.images.preprocessing import Preparation
 from binocal.progress import ProgressCallback, ShouldStop, stage_of
 from binocal.result import RejectedView
-
-if TYPE_CHECKING:
-    from binocal.images.preprocessing import Preparation
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from typing import TypeVar
 
+from numpy import ndarray
+
 from binocal.calibrators.natural_checks import MIN_MATCHES, named
 from binocal.cameras import Camera
 from binocal.datasets import StereoPair
@@ -14,7 +16,7 @@ from binocal.errors import CancelledError, DataError
 from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding, finding, refusal
 from binocal.images.opencv_settings import single_threaded_opencv
-from binocal.images.reading import GreyImage, read_grey_image
+from binocal.images.reading import read_grey_image
 from binocal.matching.pairs import PairMatches, match_pair
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.threads import n_threads
@@ -102,7 +104,7 @@ def match_files(pair: StereoPair, cameras: tuple[Camera, Camera]) -> PairMatches
     return match_pair(*read_pair(pair, cameras), pair.name)
 
 
-def read_pair(pair: StereoPair, cameras: tuple[Camera, Camera]) -> tuple[GreyImage, GreyImage]:
+def read_pair(pair: StereoPair, cameras: tuple[Camera, Camera]) -> tuple[ndarray, ndarray]:
     """Both images of a pair of files.
 
     Raises:

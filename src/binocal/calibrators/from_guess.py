@@ -20,6 +20,7 @@ from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.joint import calibrate_jointly
+from binocal.calibrators.registry import refuse_unsuited
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
@@ -85,6 +86,7 @@ def calibrate_from_guess(evidence: Detections, request: CalibrationRequest) -> S
     request.check_options(*OPTIONS)
     if not isinstance(evidence, Detections):
         raise TypeError(f"calibrator 'from-guess' works from Detections of a board; got {type(evidence).__name__}")
+    refuse_unsuited("from-guess", request)
     solve = solve_from_guess(evidence, request)
     request.check_stop()
     calibration = calibrate_jointly(

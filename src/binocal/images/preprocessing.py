@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -45,6 +44,8 @@ def strengthen_edges(image: ndarray) -> ndarray:
     """
     if image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image is uint8 or uint16; got {image.dtype}")
+    import cv2
+
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTHING_PX)
     sharp = smooth + EDGE_GAIN * (smooth - cv2.GaussianBlur(smooth, (0, 0), EDGE_SCALE_PX))
     return np.clip(np.rint(sharp), 0, np.iinfo(image.dtype).max).astype(image.dtype)
