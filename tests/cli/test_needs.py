@@ -9,11 +9,15 @@ import pytest
 from binocal import app
 from binocal.app import evaluate as evaluating
 from binocal.app.corners import FoundCorners
+from binocal.app.needs import NeedReport
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cli import main
+from binocal.cli.needs import needs_text
 from binocal.formats import rig_json
 from binocal.geometry import SE3, so3
+from binocal.planning import PlannedView, ViewPlan
+from binocal.requirements import Figure, Outcome, Verdict, parse_requirement
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 
 RIG, SPEC = table2_rig(), "chessboard:6x5:30mm"
@@ -59,6 +63,17 @@ def test_new_images_are_judged(tmp_path, calibration, images, capsys):
     text = capsys.readouterr().out
     assert text.startswith("FAIL     baseline 0.0001%: not met") and "Plan     20 more views do not meet" in text
     assert "Agreement: the images agree" in text
+
+
+def test_an_undecided_need_and_a_plan_of_one_view_read_as_sentences():
+    need = parse_requirement("row 0.1px")
+    verdict = Verdict(need, Figure(0.1, 0.02, "the row error"), Outcome.UNDECIDED)
+    view = PlannedView(SE3.identity(), (320.0, 240.0), 0.5, 30.0, "top", 0.05)
+    plans = tuple(ViewPlan(need, 0.1, (view,), is_enough, "nothing more helps") for is_enough in (True, False))
+    first, *rest = needs_text(NeedReport((verdict,), plans), ("mm", 1e3))
+    assert first.startswith("Undecided row 0.1px: undecided")
+    text = "\n".join(rest)
+    assert "1 more view meets row 0.1px" in text and "1 more view does not meet row 0.1px" in text
 
 
 def test_a_pitched_rig_is_not_passed_in_silence(tmp_path, calibration, images, capsys):

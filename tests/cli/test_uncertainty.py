@@ -74,3 +74,20 @@ def test_an_older_file_says_what_it_does_not_hold(rig_path, tmp_path, capsys):
     assert main(["uncertainty", str(path), "--range", "1m"]) == 0
     text = capsys.readouterr().out
     assert "no projection uncertainty" in text and "calibrate anew" in text
+
+
+def test_a_file_without_a_calibration_is_named_as_such(rig_path, tmp_path, capsys):
+    from binocal.formats.opencv_yaml import write_opencv
+
+    write_opencv(tmp_path / "rig.yml", table2_rig())
+    rig_json.write_rig(tmp_path / "bare.json", table2_rig())
+    (tmp_path / "cut.json").write_text(Path(rig_path).read_text()[:5000])
+    for name, text in (
+        ("rig.yml", "holds no calibration of binocal's; an uncertainty needs the rig.json"),
+        ("bare.json", "holds no calibration of binocal's; an uncertainty needs the rig.json"),
+        ("cut.json", "is not JSON"),
+        ("none.json", "is missing"),
+    ):
+        assert main(["uncertainty", str(tmp_path / name), "--range", "1m"]) == 3
+        said = capsys.readouterr().err
+        assert text in said and said.count("\n") == 1

@@ -98,6 +98,14 @@ def test_skew_is_refused_and_fisheye_is_loud(tmp_path):
     assert_same_rig(opencv_yaml.read_opencv(tmp_path / "rig.yml"), rig, 1e-12)
 
 
+def test_a_rig_that_nothing_rectifies_is_written_without_its_rectification(tmp_path):
+    rig = make_rig(t=(0.0, 0.01, -0.06))  # one camera behind the other
+    with pytest.warns(UserWarning, match="without R1, R2, P1, P2 and Q: the baseline is"):
+        opencv_yaml.write_opencv(tmp_path / "rig.yml", rig)
+    assert "R1" not in (tmp_path / "rig.yml").read_text()
+    assert_same_rig(opencv_yaml.read_opencv(tmp_path / "rig.yml"), rig, 1e-12)
+
+
 def test_units(tmp_path):
     path = tmp_path / "rig.yml"
     opencv_yaml.write_opencv(path, make_rig(t=(-75.0, 1.0, 1.0)))

@@ -90,3 +90,33 @@ def test_a_small_jpeg_for_the_eye():
     image = np.full((300, 400, 3), 40000, np.uint16)
     assert shrunk(image, 100).shape == (75, 100, 3) and shrunk(image, 500) is image
     assert len(encode_jpeg(shrunk(image, 100))) < 2000
+
+
+def test_images_in_which_the_corners_lie_elsewhere_are_refused(calibration, tmp_path, monkeypatch):
+    from types import SimpleNamespace
+
+    from binocal.app import report_images as module
+    from binocal.images.preprocessing import Preparation
+
+    sources = write_images(tmp_path, [calibration.views[0].name], RIG.left.size_wh)
+    corners = calibration.evidence.detections.select(np.array([0]))
+
+    def compare(shift_px):
+        found = replace(corners, left_px=corners.left_px[:, ::-1] + shift_px)  # found from the board's other end
+        monkeypatch.setattr(module, "detect_pairs", lambda *_, **__: SimpleNamespace(detections=found))
+        module.require_same_images(calibration, *sources, BOARD, Preparation())
+
+    compare(0.2)
+    with pytest.raises(DataError, match=r"left_.*the corners of view \S+ lie [0-9.]+ px off the board in its images"):
+        compare(8.0)
+
+
+def test_images_without_the_board_are_refused_where_the_corners_were_found_in_images(calibration, tmp_path):
+    from binocal.app.report_images import require_same_images
+    from binocal.images.preprocessing import Preparation
+
+    sources = write_images(tmp_path, [view.name for view in calibration.views], RIG.left.size_wh)
+    require_same_images(calibration, *sources, BOARD, Preparation())  # corners that others found
+    found = replace(calibration, provenance=calibration.provenance | {"input_sha256": {"left": "1", "right": "2"}})
+    with pytest.raises(DataError, match=r"left_.*not found in the images of its best views .*that it was made from"):
+        require_same_images(found, *sources, BOARD, Preparation())

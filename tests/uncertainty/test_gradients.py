@@ -47,6 +47,18 @@ def assert_close(found, expected):
     assert np.abs(found - expected).max() <= 2e-5 * np.abs(expected).max() + 1e-9  # measured: 2e-6
 
 
+def test_depth_of_points_a_billion_metres_away_grows_with_range_and_beyond_reach_is_untold():
+    rig = make_rig("brown4", t=(-0.06, 0.001, 0.002))
+    names = names_of(rig)
+    near, far, beyond = (
+        relative_depth_gradients(rig, names, points_at(rig, np.array([[320.0, 240.0]]), depth_m))[0]
+        for depth_m in (1e5, 1e9, 1e13)
+    )
+    grows = [not name.startswith("translation") for name in names]  # a baseline's share is the same at every range
+    assert far[grows] == pytest.approx(1e4 * near[grows], abs=1e-4 * np.abs(far).max())
+    assert np.isnan(beyond).all()
+
+
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("t", [(-0.06, 0.001, 0.002), (0.003, -0.06, 0.001)], ids=["horizontal", "vertical"])
 def test_depth_and_rows_move_with_every_parameter(model, t):

@@ -133,9 +133,16 @@ def measure_depth(
     distances = options.distances or usual_range(rectification)
     search = disparity_range(rectification, distances)
     if search[1] - search[0] <= 1:
+        unit = "m" if rig.is_metric else "board squares"
+        length = rectification.size_wh[rectification.left.along]
+        is_too_near = min(abs(search[0]), abs(search[1])) >= length - 1  # the search never goes beyond the image
         raise DataError(
-            f"from {distances.near:g} to {distances.far:g} the disparity does not change by a pixel in these images: give a range of "
-            "nearer distances."
+            f"from {distances.near:g} to {distances.far:g} {unit} "
+            + (
+                f"disparities are beyond the image of {length} px: too near for this rig; give a range of farther distances."
+                if is_too_near
+                else "the disparity does not change by a pixel in these images: give a range of nearer distances."
+            )
         )
     lattice = _lattice(calibration, rectification, distances)
     pairing = list_pairs(left, right)

@@ -10,13 +10,15 @@ import numpy as np
 
 from binocal.app.corners import find_corners
 from binocal.app.needs import NeedReport, judge_calibration
-from binocal.app.report_images import report_images
+from binocal.app.report_images import report_images, require_same_images
 from binocal.app.uncertainty import tell_uncertainty
 from binocal.boards import Board, parse_board
 from binocal.errors import BinocalError, DataError
 from binocal.evidence import Detections
 from binocal.formats.detections_npz import is_detections_file, read_detections
-from binocal.formats.rig_json import holds_calibration, read_calibration
+from binocal.formats.rig_json import read_calibration, require_calibration
+from binocal.images import CHANNELS
+from binocal.images.preprocessing import Preparation
 from binocal.output import check_output, write_together
 from binocal.planning import ViewPlan, plan_views
 from binocal.progress import ProgressCallback
@@ -88,10 +90,7 @@ def write_report(
     for path in (output, pdf):
         if path is not None:
             check_output(path, force=force)
-    if not holds_calibration(rig):
-        raise DataError(
-            f"{rig}: holds no calibration of binocal's; a report needs the rig.json that `binocal calibrate` wrote."
-        )
+    require_calibration(rig, "a report")
     run = make_report(read_calibration(rig), rig, request, progress=progress)
     contents: dict[str | Path, str | bytes] = {output: run.page}
     if pdf is not None:
@@ -159,24 +158,44 @@ def _with_corners(
     """The calibration with the corners it was made from, all corners as detected, and what is to be said of them."""
     if request.evidence is not None:
         detections = read_detections(request.evidence)
-        return calibration.with_evidence(detections), detections, ()
-    for path in sorted(rig.parent.glob("*.npz"))[:MOST_FILES_TRIED]:
-        with contextlib.suppress(BinocalError, ValueError):
-            if is_detections_file(path):
-                detections = read_detections(path)
-                return calibration.with_evidence(detections), detections, ()
+        calibration = calibration.with_evidence(detections)
+        _require_same_images(calibration, request, board)
+        return calibration, detections, ()
+    found = _corners_beside(calibration, rig)
+    if found is not None:
+        _require_same_images(found[0], request, board)
+        return *found, ()
     if request.left is None or request.right is None:
         return calibration, None, (NO_CORNERS,)
     if board is None:
         raise DataError(f"{rig} does not name the board; give it with --board.")
-    from binocal.images import CHANNELS
-    from binocal.images.preprocessing import Preparation
+    detections = find_corners(
+        request.left, request.right, board, _preparation_of(calibration), progress, None
+    ).detections
+    return calibration.with_evidence(detections), detections, ()
 
+
+def _corners_beside(calibration: StereoCalibration, rig: Path) -> tuple[StereoCalibration, Detections] | None:
+    """The calibration with the corners in the first file beside the rig that holds its own."""
+    for path in sorted(rig.parent.glob("*.npz"))[:MOST_FILES_TRIED]:
+        with contextlib.suppress(BinocalError, ValueError):
+            if is_detections_file(path):
+                detections = read_detections(path)
+                return calibration.with_evidence(detections), detections
+    return None
+
+
+def _preparation_of(calibration: StereoCalibration) -> Preparation:
+    """How the images were prepared before the board was looked for."""
     made = calibration.provenance
     channel = made.get("channel")
-    preparation = Preparation(channel if channel in CHANNELS else "grey", made.get("preprocess") is True)
-    detections = find_corners(request.left, request.right, board, preparation, progress, None).detections
-    return calibration.with_evidence(detections), detections, ()
+    return Preparation(channel if channel in CHANNELS else "grey", made.get("preprocess") is True)
+
+
+def _require_same_images(calibration: StereoCalibration, request: ReportRequest, board: Board | None) -> None:
+    """Images beside a file of corners are those that the corners were found in, as far as the board is known."""
+    if request.left is not None and request.right is not None and board is not None:
+        require_same_images(calibration, request.left, request.right, board, _preparation_of(calibration))
 
 
 def _uncertainty(

@@ -6,9 +6,12 @@ import numpy as np
 
 from binocal.app.depth import DepthOptions, depth_images
 from binocal.app.rectify import rectified_pairs
+from binocal.boards import Board
 from binocal.datasets.folder import ImagePair, list_pairs
+from binocal.detection import detect_pairs
 from binocal.errors import CalibrationError, DataError, FormatError
 from binocal.images.encoding import draw_depth, draw_rows, encode_jpeg, shrunk
+from binocal.images.preprocessing import Preparation
 from binocal.images.reading import read_image
 from binocal.progress import ProgressCallback
 from binocal.rectification import DepthRange, RectificationMaps, rectify
@@ -18,6 +21,8 @@ from binocal.result import StereoCalibration
 
 MOST_REJECTED, MOST_USED = 10, 30  # pairs that are shown; of more used ones, those of the largest RMS
 THUMBNAIL_WIDTH, PREVIEW_WIDTH = 280, 640  # pixels of one image
+MOST_COMPARED = 3  # pairs in which the corners are found again
+SAME_CORNER_PX = 1.5  # farther from every corner that is found again, a corner is not of this image
 NEAREST = 0.5  # times the boards' distance: where the search for depth begins
 
 
@@ -53,6 +58,48 @@ def report_images(
         rectified = None
         notes.append(f"no rectified images: {str(error).rstrip('.')}")
     return tuple(shown), rectified, tuple(notes)
+
+
+def require_same_images(
+    calibration: StereoCalibration, left: str, right: str, board: Board, preparation: Preparation
+) -> None:
+    """The images are those in which the evidence's corners were found: the board is found again in a few of them, at the same places.
+
+    Of a calibration from corners that others found, images in which the board is not found say nothing.
+
+    Raises:
+        DataError: They are others; the text names the view that differs most.
+    """
+    pairs = {pair.name: pair for pair in list_pairs(left, right).pairs}
+    used = sorted(
+        (view for view in calibration.views if view.name in pairs), key=lambda view: np.nan_to_num(view.rms_px)
+    )
+    if not used or calibration.evidence is None:
+        return
+    corners = calibration.evidence.detections
+    names = [view.name for view in used[:MOST_COMPARED]]
+    try:
+        again = detect_pairs([pairs[name] for name in names], board, preparation=preparation).detections
+    except DataError:
+        if "left" in calibration.provenance.get("input_sha256", {}):
+            raise DataError(
+                f"{pairs[names[0]].left_path}: the board of the calibration is not found in the images of its best views "
+                f"({', '.join(names)}); give the images that it was made from."
+            ) from None
+        return
+    worst, at = 0.0, names[0]
+    for i, name in enumerate(again.names):
+        j = corners.names.index(name)
+        for found, expected in ((again.left_px[i], corners.left_px[j]), (again.right_px[i], corners.right_px[j])):
+            apart = np.linalg.norm(expected[:, None] - found[np.isfinite(found).all(axis=-1)], axis=-1)
+            apart = apart[np.isfinite(expected).all(axis=-1)]
+            if apart.size and (far := float(np.median(apart.min(axis=1)))) > worst:
+                worst, at = far, name
+    if worst > SAME_CORNER_PX:
+        raise DataError(
+            f"{pairs[at].left_path}: the corners of view {at} lie {worst:.3g} px off the board in its images; give those that the "
+            "calibration was made from."
+        )
 
 
 def _thumbnails(calibration: StereoCalibration, pair: ImagePair, *, is_used: bool) -> ViewImages:

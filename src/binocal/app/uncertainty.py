@@ -48,15 +48,15 @@ def tell_uncertainty(
         )
         for depth in np.geomspace(nearest, farthest, n)
     )
+    unit = "m" if rig.is_metric else "board pitches"
     if not any(m.field.is_common.any() for m in maps):
-        unit = "m" if rig.is_metric else "board pitches"
         raise DataError(
             f"the cameras see nothing together from {nearest:g} to {farthest:g} {unit}; give another --range."
         )
     notes = []
     if any(not m.field.is_common.any() for m in maps):
         empty = [f"{m.field.depth_m:.3g}" for m in maps if not m.field.is_common.any()]
-        notes.append(f"the cameras see nothing together at {', '.join(empty)}: too near for both.")
+        notes.append(f"the cameras see nothing together at {', '.join(empty)} {unit}.")
     if not any(np.isfinite(m.row_px).any() for m in maps):
         notes.append("no row error: the rig cannot be rectified.")
     mean_pose = calibration.mean_board_pose

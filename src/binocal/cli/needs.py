@@ -38,7 +38,7 @@ def parse_needs(texts: Sequence[str] | None, *, is_metric: bool | None) -> tuple
 
 def needs_text(report: NeedReport, unit: tuple[str, float]) -> list[str]:
     """A line for each verdict, and a table for each plan; ``unit`` prints lengths."""
-    lines = [f"{_MARKS[v.outcome]:<9}{one_line(v.sentence)}" for v in report.verdicts]
+    lines = [f"{_MARKS[v.outcome]:<8} {one_line(v.sentence)}" for v in report.verdicts]
     for plan in report.plans:
         lines += _plan_lines(plan, unit)
     return lines
@@ -52,9 +52,9 @@ def _plan_lines(plan: ViewPlan, unit: tuple[str, float]) -> list[str]:
     after = need.shown(plan.views[-1].figure)
     views = f"{n} more view{'s' if n > 1 else ''}"
     head = (
-        f"Plan     {views} meet {need.text}: {need.shown(plan.figure)} becomes {after}"
+        f"Plan     {views} meet{'s' if n == 1 else ''} {need.text}: {need.shown(plan.figure)} becomes {after}"
         if plan.is_enough
-        else f"Plan     {views} do not meet {need.text}: {need.shown(plan.figure)} becomes {after}; {plan.why}"
+        else f"Plan     {views} {'does' if n == 1 else 'do'} not meet {need.text}: {need.shown(plan.figure)} becomes {after}; {plan.why}"
     )
     rows = [
         (

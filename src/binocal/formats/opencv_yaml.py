@@ -19,7 +19,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import Camera, StereoRig
-from binocal.errors import DataError, FormatError
+from binocal.errors import DataError, DegenerateGeometryError, FormatError
 from binocal.formats.json_document import parse_whole
 from binocal.geometry import SE3
 from binocal.input_file import exists, read_text
@@ -72,7 +72,8 @@ def write_opencv(path: str | Path, rig: StereoRig, *, force: bool = False) -> No
         OutputExistsError: A file is there and ``force`` is False.
 
     Warns:
-        UserWarning: A fisheye lens: readers must use ``cv2.fisheye`` by themselves, the matrices look the same.
+        UserWarning: A fisheye lens: readers must use ``cv2.fisheye`` by themselves, the matrices look the same. Or a rig that no
+            pinhole rectifies, such as one camera behind the other: the file is without R1 to Q.
     """
     write_together(opencv_texts(path, rig, force=force), force=force)
 
@@ -92,20 +93,31 @@ def opencv_texts(path: str | Path, rig: StereoRig, *, force: bool = False) -> di
         ("M2", rig.right.K),
         ("D2", rig.right.distortion[None]),
     ]
-    rectification = rectify(rig, size_wh=rig.left.size_wh, projection="pinhole")
     pair_keys: list[tuple[str, Any]] = [
         ("unit", "m" if rig.is_metric else "board pitch"),
         ("R", rig.T_right_left.R),
         ("T", rig.T_right_left.t[:, None]),
+        *_rectification_keys(rig),
+    ]
+    targets = check_opencv_output(path, force=force)
+    parts = [camera_keys + pair_keys] if len(targets) == 1 else [camera_keys, pair_keys]
+    return {target: _format_storage(keys) for target, keys in zip(targets, parts, strict=True)}
+
+
+def _rectification_keys(rig: StereoRig) -> list[tuple[str, Any]]:
+    """R1 to Q of a pinhole; none, and a warning, where the rig has no such rectification: the cameras are good without it."""
+    try:
+        rectification = rectify(rig, size_wh=rig.left.size_wh, projection="pinhole")
+    except DegenerateGeometryError as error:
+        warnings.warn(f"the OpenCV file is without R1, R2, P1, P2 and Q: {error}", stacklevel=5)
+        return []
+    return [
         ("R1", rectification.R_rect_left),
         ("R2", rectification.R_rect_right),
         ("P1", rectification.P_left),
         ("P2", rectification.P_right),
         ("Q", rectification.Q),
     ]
-    targets = check_opencv_output(path, force=force)
-    parts = [camera_keys + pair_keys] if len(targets) == 1 else [camera_keys, pair_keys]
-    return {target: _format_storage(keys) for target, keys in zip(targets, parts, strict=True)}
 
 
 def check_opencv_output(path: str | Path, *, force: bool = False) -> list[Path]:

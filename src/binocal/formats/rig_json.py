@@ -224,6 +224,21 @@ def holds_calibration(path: str | Path) -> bool:
     return is_rig_file(path) and "sigma" in _peek(path)
 
 
+def require_calibration(path: str | Path, purpose: str) -> None:
+    """The file is a ``rig.json`` with a calibration, which ``purpose`` (such as "a report") needs; a damaged one its reader names.
+
+    Raises:
+        FormatError: It is missing, of another kind (such as OpenCV's), or a rig alone.
+    """
+    if holds_calibration(path):
+        return
+    is_object = bytes(read_file(path, most_bytes=MOST_TEXT_BYTES)).lstrip()[:1] == b"{"
+    if not is_object or _peek(path):
+        raise FormatError(
+            path, f"holds no calibration of binocal's; {purpose} needs the rig.json that `binocal calibrate` wrote"
+        )
+
+
 def _peek(path: str | Path) -> dict[str, Any]:
     """The file's JSON object, empty where it is none."""
     try:

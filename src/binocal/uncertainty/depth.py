@@ -88,12 +88,31 @@ def depth_gradients(
     G, match = np.full((len(points), J.shape[2]), np.nan), np.full((len(points), 2), np.nan)
     seen = np.isfinite(P).all(axis=(1, 2)) & np.isfinite(J).all(axis=(1, 2))
     P, J, along = P[seen], J[seen], along[seen]
+    P, along, is_told = _in_baselines(rig, P, along)
     normal = P.swapaxes(1, 2) @ P
-    weights = np.linalg.solve(normal, along[..., None])[..., 0]  # normal is symmetric: along' N^-1 P' is the row wanted
+    weights = np.full_like(along, np.nan)
+    weights[is_told] = np.linalg.solve(normal[is_told], along[is_told, :, None])[
+        ..., 0
+    ]  # along' N^-1 P' is the row wanted
     row = np.einsum("ni,nji->nj", weights, P)
     G[seen] = -np.einsum("nj,njp->np", row, J)
     match[seen] = row[:, 2:]
     return G, match
+
+
+def _in_baselines(
+    rig: StereoRig, P: Float[ndarray, "n 4 3"], along: Float[ndarray, "n 3"]
+) -> tuple[Float[ndarray, "n 4 3"], Float[ndarray, "n 3"], Bool[ndarray, " n"]]:
+    """The same with lengths along the ray stretched by range over baseline, as far points move pixels less along it by that share.
+
+    Else the normal equations lose a digit for every factor of three in range, and are singular from 1e8 baselines. Told is what
+    rounding leaves; beyond 1e12 baselines nothing.
+    """
+    inverse_range = np.linalg.norm(along, axis=-1)
+    ray = along / inverse_range[:, None]
+    stretch = 1 / (inverse_range * rig.baseline_m)
+    P = P + (P @ ray[..., None]) * ((stretch - 1)[:, None] * ray)[:, None, :]
+    return P, stretch[:, None] * along, stretch < 1e12
 
 
 def points_at(

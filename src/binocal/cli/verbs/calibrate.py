@@ -371,4 +371,5 @@ def _write_calibration(
     contents[output] = calibration_text(run.calibration)
     write_together(contents, force=force)
     if refusal is not None:
+        refusal.add_note(f"note: wrote {' and '.join(str(path) for path in contents)} all the same")
         raise refusal

@@ -102,6 +102,7 @@ def uncertainty(
 
     nearest, farthest, is_metric = parse_range(ranges)
     matching_px = parse_pixels("--matching", matching)
+    rig_json.require_calibration(rig, "an uncertainty")
     calibration = rig_json.read_calibration(rig)
     if calibration.rig.is_metric != is_metric:
         unit = (
