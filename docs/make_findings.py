@@ -308,7 +308,8 @@ EXPLANATIONS = {
         wrong leaves nothing: rows stay equal, and this cannot tell.""",
     "pairs-contradict": """
         Every pair of a rig shows the same pose. Where half of the pairs or more do not fit with the others, nothing tells which
-        are right.""",
+        are right. Where each pair fits the cameras with a pose of its own, and together they leave what other cameras would, the rig
+        was knocked on the way: `binocal check --stream` says when.""",
     "pairs-left-out": """
         A pair is left out where an image shows nothing or is blurred, where less than half as many of its matches fit as of all
         pairs (its images are not of one moment), or where its points lie behind the cameras (its images were exchanged). The

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from binocal.app.pair_matching import matches_of
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.calibrators.natural_cameras import assumed_covariance, slopes_of
 from binocal.cameras import Camera, StereoRig
+from binocal.datasets import open_dataset
 from binocal.errors import InconsistentViewsError
 from binocal.evidence.point_matches import PointMatches
 from binocal.geometry import SE3, so3
@@ -181,6 +183,18 @@ def test_pairs_that_differ_are_no_sign_of_other_cameras():
     slopes = slopes_of(problem, matches, pose, cameras(), np.sqrt(np.diagonal(covariance)))
     equations = problem.linearize(pose, np.asarray(1.0), "squared")
     assert camera_misfit(equations, matches.pair, slopes, covariance) is None
+
+
+def test_a_rig_knocked_on_the_way_is_no_other_camera(data_dir):
+    """EuRoC's right camera is turned by 0.2 deg of pitch between two pairs: weights at a pose in between feigned other cameras."""
+    data = open_dataset(f"euroc:{data_dir / 'euroc_micro'}")
+    rig, pairs = data.rig, list(data.pairs())
+    known = rig.left, rig.right
+    before, after = (matches_of([pairs[k]], known)[0] for k in (0, 8))
+    rays = rig.right.unproject(after.right_px) @ so3.exp(np.radians([0.2, 0.0, 0.0]))
+    matches = PointMatches.joined([before, replace(after, right_px=rig.right.project(rays))])
+    with pytest.raises(InconsistentViewsError, match="no one pose fits all"):
+        calibrate_from_matches(matches, NaturalRequest(known, rig.T_right_left, rig.baseline_m))
 
 
 def test_pairs_of_a_rig_that_flexes_disagree():

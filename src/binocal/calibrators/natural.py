@@ -16,6 +16,7 @@ from binocal.calibrators.natural_cameras import (
     asked,
     assumed_covariance,
     intrinsics_covariance,
+    is_of_other_cameras,
     parameters_asked_for,
     refuse_other_cameras,
     slopes_of,
@@ -27,6 +28,7 @@ from binocal.calibrators.natural_checks import (
     is_mixed_up,
     pairs_disagree,
     pairs_left_out,
+    pairs_of_several_poses,
     refuse_other_rig,
     refuse_rectified,
     refuse_whole_rows,
@@ -58,7 +60,7 @@ from binocal.solvers.epipolar_covariance import (
     regions_of,
     steps_by_intrinsics,
 )
-from binocal.solvers.epipolar_descent import finish
+from binocal.solvers.epipolar_descent import NEAR_PX, finish
 from binocal.solvers.epipolar_diagnosis import camera_misfit, clearest_ask
 from binocal.solvers.relative_pose import RelativePose, tangents
 
@@ -161,6 +163,23 @@ def _solve(matches: PointMatches, request: NaturalRequest) -> _Solved:
     return solved
 
 
+def _at_own_poses(solved: _Solved) -> EpipolarEquations:
+    """The equations with each pair at the minimum of its own matches; a pair that has too few near by counts nothing."""
+    equations, pair = solved.equations, solved.matches.pair
+    residuals, jacobian = equations.residuals_px.copy(), equations.jacobian.copy()
+    weights = np.zeros_like(equations.weights)
+    for k in np.unique(pair):
+        here = np.flatnonzero(pair == k)
+        part = solved.problem.select(here)
+        if (np.abs(part.residuals_px(solved.estimate)) < NEAR_PX).sum() < MIN_MATCHES:
+            continue
+        own = finish(part, solved.estimate)
+        scale_px = np.maximum(own.scale_px, NOISE_FLOOR_PX)
+        found = part.linearize(own.estimate, scale_px, "tukey")
+        residuals[here], jacobian[here], weights[here] = found.residuals_px, found.jacobian, found.weights
+    return replace(equations, residuals_px=residuals, jacobian=jacobian, weights=weights)
+
+
 def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -> StereoCalibration:
     """The minimum with its covariance, held against the old rig and the cameras."""
     problem, matches, estimate, noise_px = solved.problem, solved.matches, solved.estimate, solved.noise_px
@@ -175,7 +194,14 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
     if not is_mixed_up(estimate, request.given):
         allowed = assumed_covariance(request.cameras, of_no_lens=True)
         allowed += of_cameras if request.intrinsics is not None else 0.0
-        refuse_other_cameras(camera_misfit(solved.equations, matches.pair, slopes, allowed))
+        misfit = camera_misfit(solved.equations, matches.pair, slopes, allowed)
+        if (
+            is_of_other_cameras(misfit) and matches.n_pairs > 1
+        ):  # or of pairs far apart, whose weights are those of no pose
+            misfit = camera_misfit(_at_own_poses(solved), matches.pair, slopes, allowed)
+            if not is_of_other_cameras(misfit):
+                raise refusal(pairs_of_several_poses(matches.n_pairs))
+        refuse_other_cameras(misfit)
     if untold is not None and request.old is not None:
         old = RelativePose.of(request.old)
         held, of_held = as_seen_from(untold, estimate, old), covariance

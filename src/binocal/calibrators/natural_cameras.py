@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 import numpy as np
 from numpy import ndarray
 
@@ -78,9 +80,14 @@ def slopes_of(
     return slopes_by_intrinsics(of_other_cameras, cameras, estimate, sigma, len(matches))
 
 
+def is_of_other_cameras(misfit: CameraMisfit | None) -> TypeGuard[CameraMisfit]:
+    """Whether most of the residuals are a pattern that the images' own cameras would not leave."""
+    return misfit is not None and misfit.share >= OTHER_SHARE and misfit.pattern_px >= OTHER_PX
+
+
 def refuse_other_cameras(misfit: CameraMisfit | None) -> None:
     """Raises InconsistentViewsError: most of the residuals are a pattern that the images' own cameras would not leave."""
-    if misfit is None or misfit.share < OTHER_SHARE or misfit.pattern_px < OTHER_PX:
+    if not is_of_other_cameras(misfit):
         return
     share_percent = 100 * misfit.share
     raise refusal(

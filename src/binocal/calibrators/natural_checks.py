@@ -192,3 +192,14 @@ def _forward_deg(pose: RelativePose) -> float:
     """How far the translation points along the cameras' common view, out of the plane across it."""
     view = pose.R[:, 2] + np.array([0.0, 0.0, 1.0])
     return float(np.degrees(np.arcsin(np.clip(pose.t @ view / max(float(np.linalg.norm(view)), 1e-9), -1, 1))))
+
+
+def pairs_of_several_poses(n_pairs: int) -> Finding:
+    """What is said where every pair fits these cameras with a pose of its own, and no one pose fits them all."""
+    return finding(
+        "pairs-contradict",
+        n_odd=n_pairs,
+        n_pairs=n_pairs,
+        what="each fits these cameras with a pose of its own, and no one pose fits all: the rig was knocked on the way, or flexes",
+        remedy="see with `binocal check --stream` when, and give pairs from before or after it",
+    )
