@@ -294,6 +294,11 @@ EXPLANATIONS = {
         images and a translation that lies 15 deg more along the view than the file's are refused, since no other mounting of
         the cameras explains them. A pose that is as far from the file's as would be refused without `--start none` may be
         right, and is said to be far.""",
+    "baseline-unlike-file": """
+        The images tell the direction of the translation, not its length, so that a unit mixed up or a mistaken known length shows
+        in no residual. `--baseline` and `--known-length` are taken as they are given. Where they differ from the rig's file by more
+        than 5 %, and by more than four standard deviations of their difference, this is said: heat and knocks change the distance of
+        two cameras by far less.""",
     "cameras-are-others": """
         Focal lengths, principal points and distortions of both cameras are held; freed together, beside a pose for each pair, they
         would take away what a wrong calibration leaves. What a good calibration may leave, three standard deviations of each

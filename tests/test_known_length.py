@@ -12,7 +12,7 @@ import typer
 
 import streets
 from binocal.app.known_lengths import KnownLength, measure_known_lengths
-from binocal.app.natural import as_given
+from binocal.app.natural import NaturalSource, as_given, length_unlike_file
 from binocal.calibrators.known_length import POINTED_SIGMA_PX, SeenLength, with_known_lengths
 from binocal.cameras import Camera, StereoRig
 from binocal.cli import main
@@ -83,6 +83,40 @@ def test_the_stated_deviation_is_that_of_many_draws():
     assert stated.baseline_sigma_m == pytest.approx(np.linalg.norm(drawn, axis=1).std(), rel=0.2)
 
 
+def test_a_length_that_is_given_has_no_deviation():
+    """What is left along the translation is rounding, as 7e-14 m were, and would print with 12 decimals."""
+    rig = replace(RIG, T_right_left=SE3(RIG.T_right_left.R, np.array([-0.537, -0.0042, -0.0069])))
+    made = calibration(rig, [0.1, *[1e-4] * 3, *[1e-3] * 3])
+    along = rig.T_right_left.t / rig.baseline_m
+    across = np.eye(7)
+    across[4:, 4:] -= np.outer(along, along)
+    for sigma_m in (0.0, 1e-7, 1e-3):
+        matrix = across @ made.covariance.matrix @ across.T
+        matrix[4:, 4:] += sigma_m**2 * np.outer(along, along) + 1e-27 * np.eye(3)
+        given = replace(made, covariance=replace(made.covariance, matrix=matrix))
+        assert given.baseline_sigma_m == pytest.approx(sigma_m, rel=1e-3, abs=0)
+
+
+@pytest.mark.parametrize(
+    ("factor", "sigma_m", "is_metric", "is_said"),
+    [
+        (0.1, 0.0, True, True),
+        (1.3, 0.01, True, True),
+        (1.3, 0.04, True, False),
+        (1.03, 0.0, True, False),
+        (0.1, 0.0, False, False),
+    ],
+)
+def test_a_baseline_far_from_the_files_is_said(factor, sigma_m, is_metric, is_said):
+    """A unit mixed up or an end that lies elsewhere shows in no residual; 3 % more, or what its deviation allows, is nothing."""
+    rig = replace(RIG, T_right_left=SE3(RIG.T_right_left.R, factor * RIG.T_right_left.t))
+    given = calibration(rig, [0.1, *[1e-4] * 3, *[sigma_m] * 3])
+    given = replace(given, provenance={**given.provenance, "length_from": "--baseline"})
+    found = length_unlike_file(given, NaturalSource([], replace(RIG, is_metric=is_metric)))
+    assert [one.code for one in found] == ["baseline-unlike-file"] * is_said
+    assert all(f"by --baseline the cameras stand {rig.baseline_m:.4g} m apart" in one.text for one in found)
+
+
 def test_lengths_are_averaged_and_contradictions_named():
     start = calibration(RIG, [0.1, *[1e-4] * 3, *[1e-3] * 3])
     good, wrong = seen(RIG, ENDS_M, LENGTH_M), seen(RIG, ENDS_M + [2.0, 0.1, 1.0], 1.2 * LENGTH_M)
@@ -138,6 +172,7 @@ def test_recalibrate_takes_its_length_from_the_scene(images, tmp_path, capsys):
     assert abs(new.rig.baseline_m - RIG.baseline_m) < 3 * new.baseline_sigma_m < 0.06 * RIG.baseline_m
     assert document["provenance"]["length_from"] == "a known length in the scene"
     assert document["provenance"]["known_lengths"][0]["pair"] == "7"
+    assert "baseline-unlike-file" in [one["code"] for one in document["findings"]]  # the old file has half of it
     assert main([*arguments, "nine:1,2:3,4=1m", "--force"]) == 3 and "pair nine" in capsys.readouterr().err
 
 
@@ -183,3 +218,8 @@ def test_the_words_of_the_option():
 def test_a_length_is_given_once(option, words, capsys):
     assert main(["recalibrate", "--dataset", "euroc:x", "--known-length", "0:1,2:3,4=1m", option]) == 2
     assert words in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_reference_keeps_the_files_length(capsys):
+    assert main(["recalibrate", "--dataset", "euroc:x", "--reference", "--baseline", "1m"]) == 2
+    assert "whose length stays: leave out --baseline" in capsys.readouterr().err

@@ -54,6 +54,8 @@ def test_a_stream_of_pairs():
 def test_what_lacks_a_rig_or_has_two_is_refused(tmp_path):
     with pytest.raises(binocal.DataError, match="what cameras took them"):
         binocal.check([("left/1.png", "right/1.png")])
+    with pytest.raises(binocal.DataError, match="no pairs of images"):
+        binocal.check([], streets.RIG)
     with pytest.raises(binocal.DataError, match="no such folder"):
         binocal.check(f"kitti:{tmp_path / 'none'}")
     source = source_of([("left/1.png", "right/1.png")], streets.RIG)

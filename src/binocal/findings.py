@@ -138,13 +138,19 @@ _KINDS = (
         "rig-is-another", _R, "The images show another rig than the one given",
         "the images show a right camera turned by {turn_deg:.1f} deg against the rig given and a translation that points {direction_deg:.0f} "
         "deg away from it: {cause}; {remedy}.",
-        "check the images, their sides and the rig's file; --start none takes no pose for granted", InconsistentViewsError,
+        "check the images, their sides and the rig's file; `binocal recalibrate --start none` takes no pose for granted", InconsistentViewsError,
     ),
     FindingKind(
         "pose-unlike-file", _W, "The pose found is far from that of the rig's file",
         "the right camera is turned by {turn_deg:.1f} deg against the rig's file and the translation points {direction_deg:.0f} deg away from "
         "it: cameras mounted anew have that, and so do images of a pair that are not of one moment; {remedy}.",
         "check that both cameras exposed together",
+    ),
+    FindingKind(
+        "baseline-unlike-file", _W, "The baseline given is far from that of the rig's file",
+        "by {said} the cameras stand {given_m:.4g} m apart, by the rig's file {filed_m:.4g} m: with the rig written all lengths and depths "
+        "are {ratio:.3g} times what they were; {remedy}.",
+        "check the number, its unit, and where the ends of a known length lie; nothing is wrong if the file's length was a guess",
     ),
     FindingKind(
         "cameras-are-others", _R, "The images are not of the cameras given",

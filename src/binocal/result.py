@@ -346,9 +346,12 @@ class StereoCalibration:
 
     @property
     def baseline_sigma_m(self) -> float:
-        """Standard deviation of the baseline, metres (board pitches without a scale); NaN where unknown."""
+        """Standard deviation of the baseline, metres (board pitches without a scale); NaN where unknown, 0 where given."""
         along = self.rig.T_right_left.t / self.rig.baseline_m
-        return float(np.sqrt(np.maximum(along @ self.covariance.block("translation") @ along, 0.0)))
+        covariance = self.covariance.block("translation")
+        variance = along @ covariance @ along
+        is_rounding = variance <= 1e-14 * np.trace(covariance)
+        return 0.0 if is_rounding else float(np.sqrt(variance))
 
     @property
     def board_scale_sigma(self) -> float:

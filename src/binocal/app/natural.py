@@ -41,6 +41,7 @@ from binocal.solvers.robust import TUKEY_END
 
 MAX_PAIRS = 8  # the random part of the error is below that of the intrinsics after four
 LEAST_BASELINE_M, MOST_BASELINE_M = 1e-3, 100.0  # between a rig of tiny cameras and one on a ship
+MOST_LENGTH_CHANGE, MOST_LENGTH_SIGMAS = 0.05, 4.0  # of a baseline given, from the file's
 REFERENCE = "reference"
 """Where a rig file holds its own result of ``recalibrate``."""
 ROWS_OFF_PX, ROWS_OFF_RATIO = 1.0, 4.0
@@ -161,7 +162,8 @@ def recalibrate(source: NaturalSource, options: NaturalOptions | None = None) ->
     calibration = calibrate_from_matches(matches, request)
     if options.known_lengths:
         calibration = measure_known_lengths(calibration, source.pairs, options.known_lengths)
-    calibration = replace(calibration, findings=(*left_out, *calibration.findings, *source.findings))
+    unlike = length_unlike_file(calibration, source)
+    calibration = replace(calibration, findings=(*left_out, *calibration.findings, *unlike, *source.findings))
     right = _right_matches(cameras, calibration, matches)
     drift = drift_of(calibration, source.rig, source.covariance, source.reference, source.made)
     elapsed = {"matching": matched - started, "solve": time.perf_counter() - matched}
@@ -178,6 +180,17 @@ def _refuse_no_baseline(rig: StereoRig) -> None:
         raise DataError(
             f"the rig's cameras stand {length:.3g} m apart, and 1 mm to 100 m are possible; lengths in its file are metres."
         )
+
+
+def length_unlike_file(calibration: StereoCalibration, source: NaturalSource) -> list[Finding]:
+    """What is said of a baseline that was given or measured and is far from the file's: images do not show a wrong one."""
+    given_m, filed_m = calibration.rig.baseline_m, source.rig.baseline_m
+    sigma_m = np.hypot(calibration.baseline_sigma_m, _baseline_sigma_m(source))
+    apart_m = abs(given_m - filed_m)
+    if not source.rig.is_metric or apart_m <= max(MOST_LENGTH_CHANGE * filed_m, MOST_LENGTH_SIGMAS * sigma_m):
+        return []
+    said = calibration.provenance["length_from"]
+    return [finding("baseline-unlike-file", said=said, given_m=given_m, filed_m=filed_m, ratio=given_m / filed_m)]
 
 
 def _baseline_sigma_m(source: NaturalSource) -> float:

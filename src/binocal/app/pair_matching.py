@@ -41,21 +41,28 @@ def matches_of(
         CancelledError: ``should_stop`` said so.
     """
     found: list[PointMatches] = []
-    unfit: list[tuple[str, Finding]] = []
+    unfit: list[tuple[StereoPair, Finding]] = []
     seen_pairs = for_each_pair(lambda pair: match_files(pair, cameras), pairs, "pairs", progress, should_stop)
     for pair, seen in zip(pairs, seen_pairs, strict=True):
         why = what_is_wrong(pair, seen)
         if why is None:
             found.append(seen.matches)
         else:
-            unfit.append((pair.name, why))
+            unfit.append((pair, why))
     if not found:
         raise refusal(unfit[0][1])
     if not unfit:
         return PointMatches.joined(found), []
-    what = named([why.text.removesuffix(f"; {why.remedy}.") for _, why in unfit])
+    what = named([_of_pair(pair, why) for pair, why in unfit])
     left_out = finding("pairs-left-out", n_odd=len(unfit), n_pairs=len(pairs), what=what)
     return PointMatches.joined(found), [left_out]
+
+
+def _of_pair(pair: StereoPair, why: Finding) -> str:
+    """What is wrong with a pair of several: by its name, unless the image is named already."""
+    text = why.text.removesuffix(f"; {why.remedy}.")
+    names_image = any(str(path) in text for path in (pair.left_path, pair.right_path))
+    return text if names_image else f"{pair.name} ({text})"
 
 
 def for_each_pair(

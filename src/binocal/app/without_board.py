@@ -66,6 +66,8 @@ def source_of(source: Pairs, rig: Rig | None = None) -> NaturalSource:
         source = open_dataset(source)
     if not isinstance(source, Dataset):
         pairs = tuple(pair if isinstance(pair, StereoPair) else _pair_of(*pair) for pair in source)
+        if not pairs:
+            raise DataError("no pairs of images were given; give pairs of one moment each, (left, right).")
         if given is None and not any(pair.rig for pair in pairs):
             raise DataError("images alone do not say what cameras took them: give a rig.")
         source = Dataset("pairs", "pairs", Path(), pairs, None, "the pairs' own rig")

@@ -126,12 +126,11 @@ def recalibrate(
     from binocal.output import check_output
 
     length_m, lengths = parse_length(baseline), tuple(parse_known_length(text) for text in known_length or ())
-    if lengths and (baseline is not None or reference):
-        raise typer.BadParameter(
-            "--baseline and --known-length both give the length: leave one out."
-            if baseline is not None
-            else "--reference writes the rig as given, whose length stays: leave out --known-length."
-        )
+    if lengths and baseline is not None:
+        raise typer.BadParameter("--baseline and --known-length both give the length: leave one out.")
+    if reference and (lengths or baseline is not None):
+        option = "--known-length" if lengths else "--baseline"
+        raise typer.BadParameter(f"--reference writes the rig as given, whose length stays: leave out {option}.")
     check_calibrator(calibrator, NATURAL_CALIBRATORS, solves_of)
     check_output(output, force=force)
     given, source = _natural_source(left, right, dataset, rig, rig_of)
