@@ -90,6 +90,8 @@ def parse_requirement(text: str) -> Requirement:
         is_metric = has_unit
     if quantity == "depth" and range_m is None:
         raise ValueError(f"{_short(stated)!r}: depth depends on the range; say where, such as 'depth 1% at 5m'")
+    if quantity == "depth" and not is_relative and range_m is not None and limit >= range_m:
+        raise ValueError(f"{_short(stated)!r}: a limit as large as the range asks for nothing; were the two exchanged?")
     matching_px = 0.0
     if match["matching"] is not None:
         found = re.fullmatch(rf"({_NUMBER})\s*px", match["matching"])
@@ -103,7 +105,9 @@ def _limit(stated: str, quantity: str, number: str, unit: str) -> tuple[float, b
     """The limit, whether it is a share, and whether it is a length with a unit (None: no length)."""
     value = float(number)
     if not 0 < value < math.inf:
-        raise ValueError(f"{_short(stated)!r}: a limit is above 0")
+        raise ValueError(f"{_short(stated)!r}: a limit is {'finite' if value > 0 else 'above 0'}")
+    if unit == "%" and value >= 100:
+        raise ValueError(f"{_short(stated)!r}: a limit of 100 % or more asks for nothing; give a smaller one")
     if unit == "%":
         kind = "%"
     elif unit in ("px", ""):
