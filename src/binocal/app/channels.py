@@ -12,7 +12,7 @@ from binocal.boards import Board
 from binocal.calibrators.base import CalibrationRequest
 from binocal.errors import BinocalError, CancelledError, DataError, DetectionError
 from binocal.evidence import Detections
-from binocal.metrics.aberration import Aberration, chromatic_aberration
+from binocal.metrics.aberration import Aberration, aberration_between
 from binocal.progress import ProgressCallback, ShouldStop
 
 COLOURS = ("red", "blue")
@@ -111,7 +111,7 @@ def study_channels(
     if all(_are_equal(found[REFERENCE], found[colour]) for colour in COLOURS if colour in found):
         raise DataError("the images' colours are equal: they hold grey levels, so there is no channel to choose.")
     aberrations = {
-        (side, colour): _aberration(found[REFERENCE], found[colour], side) if colour in found else None
+        (side, colour): aberration_between(found[REFERENCE], found[colour], side) if colour in found else None
         for side in ("left", "right")
         for colour in COLOURS
     }
@@ -123,14 +123,6 @@ def _are_equal(a: Detections, b: Detections) -> bool:
     return a.names == b.names and all(
         np.array_equal(getattr(a, side), getattr(b, side), equal_nan=True) for side in ("left_px", "right_px")
     )
-
-
-def _aberration(reference: Detections, other: Detections, side: str) -> Aberration | None:
-    names = [name for name in reference.names if name in other.names]
-    if not names:
-        return None
-    first, second = (getattr(of, f"{side}_px")[[of.names.index(name) for name in names]] for of in (reference, other))
-    return chromatic_aberration(first, second, getattr(reference, f"{side}_size_wh"))
 
 
 def _row(

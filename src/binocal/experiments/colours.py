@@ -20,7 +20,7 @@ from binocal.experiments.row import Measured
 from binocal.images import CHANNELS
 from binocal.images.preprocessing import Preparation
 from binocal.metrics import image
-from binocal.metrics.aberration import chromatic_aberration
+from binocal.metrics.aberration import aberration_between
 from binocal.metrics.held_out import exact_views
 from binocal.metrics.order import order_corners
 from binocal.metrics.pose import compare_with_truth
@@ -85,14 +85,7 @@ class Displacement:
         colour = self.label.split()[0]
         said: dict[str, tuple[float, str]] = {}
         for side in ("left", "right"):
-            first, second = found[REFERENCE], found[colour]
-            names = [name for name in first.names if name in second.names]
-            places = [[one.names.index(name) for name in names] for one in (first, second)]
-            fit = chromatic_aberration(
-                getattr(first, f"{side}_px")[places[0]],
-                getattr(second, f"{side}_px")[places[1]],
-                getattr(first, f"{side}_size_wh"),
-            )
+            fit = aberration_between(found[REFERENCE], found[colour], side)
             if fit is None:
                 raise DataError("too few corners are common to both colours")
             said[f"aberration at the farthest corners, {side}"] = fit.at_edge_px, "px"

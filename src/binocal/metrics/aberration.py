@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
+from binocal.evidence import Detections
 from binocal.shapes import Float
 
 MIN_VIEWS = 3  # the spread between views is what the standard deviation is made of
@@ -82,6 +83,15 @@ def chromatic_aberration(
 
     rms = float(np.sqrt(np.mean(misfit[kept] ** 2)))
     return Aberration(*radial(1.0), *radial(edge), edge * corner, solution[:2], rms, int(kept.sum()))
+
+
+def aberration_between(reference: Detections, other: Detections, side: str) -> Aberration | None:
+    """:func:`chromatic_aberration` of the views that two colours' detections have in common; ``side`` is left or right."""
+    names = [name for name in reference.names if name in other.names]
+    if not names:
+        return None
+    first, second = (getattr(of, f"{side}_px")[[of.names.index(name) for name in names]] for of in (reference, other))
+    return chromatic_aberration(first, second, getattr(reference, f"{side}_size_wh"))
 
 
 def _rows(at: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2 4"]:
