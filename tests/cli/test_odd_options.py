@@ -43,6 +43,30 @@ def test_a_folder_that_takes_no_new_files_ends_in_a_line(tmp_path, monkeypatch):
         pass
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--board", ""], "--board: nothing is given"),
+        (["--left="], "--left: nothing is given"),
+        (["--output", "made/"], "--output: made/ names a folder; name a file, such as made/rig.json"),
+        (["--evidence=made/"], "--evidence: made/ names a folder"),
+        ([""], "an argument is empty"),
+        (["--board", "chessboard:9x6:nanmm"], "board 'chessboard:9x6:nanmm': 'nanmm' is not a length"),
+    ],
+)
+def test_what_an_option_cannot_mean_is_named(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", *images(tmp_path), *arguments]) == 2
+    assert said in one_line(capsys.readouterr().err)
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_key_that_stands_twice_is_refused(tmp_path, capsys):
+    (tmp_path / "rig.json").write_text('{"schema": "binocal.rig/1", "schema": "binocal.rig/1"}')
+    assert main(["uncertainty", str(tmp_path / "rig.json"), "--range", "1-2m"]) == 3
+    assert 'holds the key "schema" twice' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("value", ["99999999999999999999999", "0", "-3"])
 def test_numbers_of_threads_are_bounded(value, capsys):
     assert main(["demo", "--threads", value]) == 2
