@@ -465,9 +465,11 @@ EXPLANATIONS = {
 def sentence_with_places(kind: FindingKind) -> str:
     """The sentence with the figures' names in angle brackets and the remedy written out."""
     parts = []
-    for text, name, _, _ in string.Formatter().parse(kind.sentence):
+    for text, name, spec, _ in string.Formatter().parse(kind.sentence):
         parts.append(text)
-        if name == "remedy":
+        if name and spec and "|" in spec:  # one word or the other, by a number
+            parts.append(spec.partition("|")[2])
+        elif name == "remedy":
             parts.append(kind.remedy.replace("{", "⟨").replace("}", "⟩").replace(":.0f", ""))
         elif name:
             parts.append(f"⟨{name}⟩")

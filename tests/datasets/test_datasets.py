@@ -37,7 +37,7 @@ def test_kitti_raw_rectified(tmp_path):
     drive = trees.kitti_raw(tmp_path)
     dataset = open_dataset(f"kitti:{drive}")
     assert dataset.is_rectified and len(dataset) == 3 and "gray" in dataset.layout
-    assert "metres" in dataset.scale_source
+    assert "99.5 mm" in dataset.scale_source
     left, right = dataset.cameras
     np.testing.assert_allclose(left.K, [[50, 0, 30], [0, 50, 9], [0, 0, 1]])
     assert left.size_wh == right.size_wh == trees.SIZE and not left.distortion.any()

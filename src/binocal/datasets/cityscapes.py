@@ -23,7 +23,7 @@ from binocal.geometry import SE3
 from binocal.images.reading import read_image_size
 
 LEFT, RIGHT, CAMERA = "leftImg8bit", "rightImg8bit", "camera"
-SCALE_SOURCE = "baseline in the camera files, metres"
+SCALE_SOURCE = "baseline in the camera files"
 
 
 def open_cityscapes(path: Path, choice: str = "") -> Dataset:

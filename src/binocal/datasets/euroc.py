@@ -73,7 +73,7 @@ def open_euroc(path: Path, choice: str = "") -> Dataset:
     if alone:
         names = name_some(f"{path.parent.parent.name}/{path.name}" for path, _ in alone)
         findings = (finding("dataset-frames-left-out", n_out=len(alone), n_pairs=len(pairs), names=names),)
-    return Dataset("euroc", "EuRoC (mav0)", path, pairs, False, "T_BS in sensor.yaml, metres", alone, findings)
+    return Dataset("euroc", "EuRoC (mav0)", path, pairs, False, "T_BS in sensor.yaml", alone, findings)
 
 
 def _times(paths: dict[str, Path]) -> dict[int, Path]:

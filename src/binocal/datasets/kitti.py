@@ -24,7 +24,7 @@ from binocal.geometry import SE3
 from binocal.images.reading import read_image_size
 
 COLOURS = {"gray": (0, 1), "grey": (0, 1), "colour": (2, 3), "color": (2, 3)}
-SCALE_SOURCE = "KITTI's calibration boards (squares of 99.5 mm), metres"
+SCALE_SOURCE = "KITTI's calibration boards (squares of 99.5 mm)"
 AGREEMENT = 1e-4  # of R_rect_j R_j with R_rect_i R_i: the files' 7 digits leave 1e-6
 _TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{1,9})$")
 
