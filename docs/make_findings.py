@@ -434,7 +434,9 @@ EXPLANATIONS = {
         archive is missing or was unpacked in part. Images matched by time are left out instead, unless none match.""",
     "dataset-image-size-differs": """
         A calibration holds for the size of image that it was made with. Images that were resized need another focal length, cropped
-        ones another principal point; rectified images with the calibration of raw ones give a wrong rig without any other sign.""",
+        ones another principal point; rectified images with the calibration of raw ones give a wrong rig without any other sign.
+        KITTI's `P0` to `P3` and Cityscapes' files do not say a size: there both images of a pair must have the same, and the
+        principal point must lie near their middle, which tells about what size was calibrated.""",
     "dataset-frame-unknown": """
         `--rig-of` names the pair whose calibration is to be used, by its whole name or by how that begins (a city of Cityscapes, a
         number of KITTI's). The names are those of the left images without their ending; the message lists the first.""",
