@@ -172,7 +172,7 @@ def test_blurred_and_black_images_are_named_or_left_out(folder, tmp_path, capsys
         cv2.imwrite(str(tmp_path / "right_1.png"), spoiled)
         assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 0
         out = capsys.readouterr().out
-        assert "1 of 2 pairs were left out" in out and "right_1.png" in out and words in out
+        assert "1 of 2 pairs was left out" in out and "right_1.png" in out and words in out
         one = ["--left", tmp_path / "left_1.png", "--right", tmp_path / "right_1.png"]
         assert run("check", *one, "--rig", folder / "true.json") == 3
         err = capsys.readouterr().err
@@ -342,7 +342,7 @@ def test_images_without_a_partner_are_named(folder, tmp_path, capsys):
         (tmp_path / path.name).symlink_to(path)
     assert run("check", *sources(tmp_path), "--rig", folder / "true.json", "--json") in (0, 4)
     (said,) = [f for f in json.loads(capsys.readouterr().out)["findings"] if f["code"] == "dataset-frames-left-out"]
-    assert "1 images have no partner" in said["text"]
+    assert "1 image has no partner" in said["text"]
 
 
 @pytest.mark.parametrize(("length_m", "text"), [(0.0, "translation is zero"), (1.2e5, "1 mm to 100 m")])
