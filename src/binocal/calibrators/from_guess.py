@@ -188,8 +188,8 @@ class _ContinuesFrom:
         scale_px: Float[ndarray, "*batch"] | None = None,
     ) -> BundleMinimum:
         if self._found is not None:
-            is_same = self._found.T_left_board.t.shape == start.T_left_board.t.shape  # of a view left out nobody knows which
-            boards = self._found.T_left_board if is_same else start.T_left_board
+            found = self._found.T_left_board
+            boards = found if found.t.shape == start.T_left_board.t.shape else start.T_left_board  # fewer: other views
             start = replace(
                 start, parameters=self._found.parameters, T_left_board=boards, T_right_left=self._found.T_right_left
             )
