@@ -19,7 +19,9 @@ from binocal.shapes import Bool, Float, Int, UInt8
 # Shares of the contrast between squares and those beside them. A disc that blur has taken three quarters of is still read: a Gaussian
 # of 0.22 squares, at which corners are lost.
 LEAST_DISC = 0.25
-LEAST_SWAPPED, MOST_UNEVEN, MOST_OFF_COLOUR = 0.7, 0.35, 0.35
+LEAST_SWAPPED, MOST_SWAPPED = 0.75, 1.25
+MOST_UNEVEN, MOST_OFF_COLOUR = 0.35, 0.35
+LEAST_AROUND = 5  # corners about a square of the other colour: so many are at a corner of the lattice
 LEAST_CONTRAST = 0.3  # of the median square's
 MOST_STRAY = 0.02  # of the squares, that read as marked and are none: glare, an insect
 MOST_OUTSIDE = 0.02  # of the corners, beyond the board: clutter that was linked
@@ -52,8 +54,9 @@ class SquareReadings:
     """How far the middle has the other colour: 0 to 1."""
     swapped: Float[ndarray, "rows columns"]
     """How far all of the square has the other colour: 0 to 1."""
-    is_even: Bool[ndarray, "rows columns"]
-    """Whether the square is of one colour all over."""
+    may_be_swapped: Bool[ndarray, "rows columns"]
+    """Whether the square is of one colour all over and those about it are as they should be, and no corner is known at its
+    own four corners, but all around them are."""
 
     def is_disc(self) -> Bool[ndarray, "rows columns"]:
         """Squares with a disc."""
@@ -61,7 +64,7 @@ class SquareReadings:
 
     def is_swapped(self) -> Bool[ndarray, "rows columns"]:
         """Squares of the other colour."""
-        return (self.swapped > LEAST_SWAPPED) & self.is_even
+        return (self.swapped > LEAST_SWAPPED) & (self.swapped < MOST_SWAPPED) & self.may_be_swapped
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,17 +97,26 @@ def read_squares(image: UInt8[ndarray, "h w"], grid_px: Float[ndarray, "rows col
     values[is_seen] = read_cells(image, quads[is_seen], _PLACES, FieldLens())
     middle, around = values[..., :N_MIDDLE].mean(axis=-1), values[..., N_MIDDLE:].mean(axis=-1)
     own, other = _levels(around)
-    contrast = other - own
+    contrast = _clear(other - own)
+    # With the square itself: of those across its corners one may be of the other colour.
+    typical = _levels(around, has_own=True)[0]
+    of_typical = _clear(other - typical)
+    with np.errstate(invalid="ignore"):
+        # Where the square about its middle is of neither colour, or of both, a hand or a shadow's border hides the middle too.
+        is_hidden = np.ptp(values[..., N_MIDDLE:], axis=-1) > MOST_UNEVEN * np.abs(of_typical)
+        is_hidden |= np.abs(around - typical) > MOST_OFF_COLOUR * np.abs(of_typical)
+        is_even = np.ptp(values, axis=-1) < MOST_UNEVEN * np.abs(contrast)
+        disc = np.where(is_hidden, np.nan, (middle - around) / of_typical)
+        swapped = (around - own) / contrast
+    is_hole = _are_holes(np.isfinite(grid_px[..., 0])) & is_even & ~_are_beside(is_hidden)
+    return SquareReadings(disc, swapped, is_hole)
+
+
+def _clear(contrast: Float[ndarray, "rows columns"]) -> Float[ndarray, "rows columns"]:
+    """Contrasts, NaN where there is hardly any beside most squares'."""
     known = np.abs(contrast[np.isfinite(contrast)])
     least = LEAST_CONTRAST * float(np.median(known)) if len(known) else np.inf
-    contrast = np.where(np.abs(contrast) > least, contrast, np.nan)
-    with np.errstate(invalid="ignore"):
-        is_even = np.ptp(values, axis=-1) < MOST_UNEVEN * np.abs(contrast)
-        swapped, disc = (around - own) / contrast, (middle - around) / contrast
-        # Where the square about its middle is of neither colour, or of both, a hand or a shadow's border hides the middle too.
-        is_hidden = np.ptp(values[..., N_MIDDLE:], axis=-1) > MOST_UNEVEN * np.abs(contrast)
-        is_hidden |= np.abs(swapped) > MOST_OFF_COLOUR
-    return SquareReadings(np.where(is_hidden, np.nan, disc), swapped, is_even)
+    return np.where(np.abs(contrast) > least, contrast, np.nan)
 
 
 def _is_surrounded(is_known: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "rows columns"]:
@@ -113,22 +125,41 @@ def _is_surrounded(is_known: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "ro
     return np.lib.stride_tricks.sliding_window_view(padded, (5, 5)).sum(axis=(2, 3)) >= 5
 
 
+def _are_holes(is_known: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "rows_less columns_less"]:
+    """Squares at whose four corners none is known, but all that the lattice has around them: a hand hides others too."""
+    known, here = (np.pad(layer.astype(int), 1) for layer in (is_known, np.ones_like(is_known)))
+    n_known, n_here = (
+        np.lib.stride_tricks.sliding_window_view(layer, (4, 4)).sum(axis=(2, 3)) for layer in (known, here)
+    )
+    inner = np.lib.stride_tricks.sliding_window_view(is_known, (2, 2)).any(axis=(2, 3))
+    return ~inner & (n_known == n_here - 4) & (n_known >= LEAST_AROUND)
+
+
+def _are_beside(is_hidden: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "rows columns"]:
+    """Squares with a hidden one at an edge of theirs."""
+    around = np.pad(is_hidden, 1)
+    return around[:-2, 1:-1] | around[2:, 1:-1] | around[1:-1, :-2] | around[1:-1, 2:]
+
+
 def _levels(
-    around: Float[ndarray, "rows columns"],
+    around: Float[ndarray, "rows columns"], *, has_own: bool = False
 ) -> tuple[Float[ndarray, "rows columns"], Float[ndarray, "rows columns"]]:
-    """Grey values of the squares' own colour, by those across their corners, and of the other, by those beside their edges."""
+    """Grey values of the squares' own colour, by those across their corners, and of the other, by those beside their edges: medians.
+
+    ``has_own`` counts a square's own value, too.
+    """
     padded = np.pad(around, 1, constant_values=np.nan)
-    rows, columns = around.shape
+    near = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(*around.shape, 9)
+    across, beside = near[..., [0, 2, 6, 8] + [4] * has_own], near[..., [1, 3, 5, 7]]
+    return _median(across), _median(beside)
 
-    def mean(steps: list[tuple[int, int]]) -> ndarray:
-        near = np.stack([padded[1 + r : 1 + r + rows, 1 + c : 1 + c + columns] for r, c in steps])
-        near.sort(axis=0)  # NaN last
-        count = np.isfinite(near).sum(axis=0)
-        low, high = np.maximum(count - 1, 0) // 2, count // 2
-        low, high = (np.take_along_axis(near, np.minimum(i, 3)[None], axis=0)[0] for i in (low, high))
-        return np.where(count > 0, 0.5 * (low + high), np.nan)
 
-    return mean([(-1, -1), (-1, 1), (1, -1), (1, 1)]), mean([(0, -1), (0, 1), (-1, 0), (1, 0)])
+def _median(values: Float[ndarray, "rows columns k"]) -> Float[ndarray, "rows columns"]:
+    """Of the values that are not NaN, NaN where all are."""
+    ordered = np.sort(values, axis=-1)  # NaN last
+    count = np.isfinite(values).sum(axis=-1)
+    middle = np.stack([np.maximum(count - 1, 0) // 2, count // 2], axis=-1)
+    return np.take_along_axis(ordered, middle, axis=-1).mean(axis=-1)
 
 
 def place_board(board: Board, grid_px: Float[ndarray, "rows columns 2"], readings: SquareReadings) -> list[Placement]:
