@@ -40,6 +40,9 @@ MOST_SADDLES_PER_CORNER, LEAST_SADDLES = 5, 1200
 MOST_GROUPS = 6  # of linked corners, that are looked at
 LEAST_KEPT = 4  # corners: fewer carry no pose
 MAX_MOVE = 0.25  # of the spacing, between where a corner was seen and where it was measured
+MOST_SIGMA_PX = (
+    1.0  # of a corner: at the image's border some are hardly fitted, and off by up to 18 px where squares are large
+)
 # A disc's rim is 0.54 squares from the square's corners, and the fit takes what lies within 0.85 of the reach.
 REACH_AT_DISC = 0.5
 
@@ -176,7 +179,8 @@ def _measure(grey: ndarray, board: Board, grid: MarkerGrid, sighting: _Sighting)
     places = BoardPlaces(board.object_points_m[:, :2], board.pitch_m)
     points, covariance, cross = measure_corners(grey, rough, places, reach)
     points = points.copy()
-    points[np.linalg.norm(points - rough, axis=1) > MAX_MOVE * spacing] = np.nan
+    sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
+    points[(np.linalg.norm(points - rough, axis=1) > MAX_MOVE * spacing) | (sigma > MOST_SIGMA_PX)] = np.nan
     points[find_inconsistent(grid, sighting.lens, points, covariance, spacing)] = np.nan
     seen = np.isfinite(points[:, 0])
     if seen.sum() >= LEAST_KEPT:

@@ -126,13 +126,16 @@ def _is_surrounded(is_known: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "ro
 
 
 def _are_holes(is_known: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "rows_less columns_less"]:
-    """Squares at whose four corners none is known, but all that the lattice has around them: a hand hides others too."""
+    """Squares at whose four corners none is known, but all but one that the lattice has around them: a hand hides more.
+
+    A corner of the lattice that the hole cuts off from the others is linked to none.
+    """
     known, here = (np.pad(layer.astype(int), 1) for layer in (is_known, np.ones_like(is_known)))
     n_known, n_here = (
         np.lib.stride_tricks.sliding_window_view(layer, (4, 4)).sum(axis=(2, 3)) for layer in (known, here)
     )
     inner = np.lib.stride_tricks.sliding_window_view(is_known, (2, 2)).any(axis=(2, 3))
-    return ~inner & (n_known == n_here - 4) & (n_known >= LEAST_AROUND)
+    return ~inner & (n_known >= n_here - 5) & (n_known >= LEAST_AROUND)
 
 
 def _are_beside(is_hidden: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "rows columns"]:
