@@ -93,7 +93,9 @@ def test_other_families_and_first_ids_are_read(tmp_path):
         load_board(str(path))
 
 
-@pytest.mark.parametrize("spec", ["aprilgrid:4x3:30mm:0.3", "aprilgrid:4x3:30mm:0.3:tag25h9:10", "aprilgrid:2x3:30mm:0.3:7"])
+@pytest.mark.parametrize(
+    "spec", ["aprilgrid:4x3:30mm:0.3", "aprilgrid:4x3:30mm:0.3:tag25h9:10", "aprilgrid:2x3:30mm:0.3:7"]
+)
 def test_a_target_file_says_family_and_first_id_where_they_are_not_kalibrs(tmp_path, spec):
     board, path = parse_board(spec), tmp_path / "target.yaml"
     text = format_kalibr_target(board)

@@ -6,6 +6,7 @@ that these name the lattice grows, corner by corner, through any lens, for each 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -31,6 +32,7 @@ from binocal.kernels.marker_grids import (
     grow_lattice,
     predict_each,
     predict_places,
+    predict_steps,
     read_cells,
     vote_on_tags,
 )
@@ -116,7 +118,7 @@ class MarkerSighting:
     @property
     def n_read(self) -> int:
         """Faces that bear the codes that their places demand."""
-        return int(np.count_nonzero(np.nan_to_num(self.likeness) >= READ))
+        return int(np.count_nonzero(self.likeness >= READ))
 
     def points_px(self, n_points: int) -> Float[ndarray, "n 2"]:
         """The corners in the board's order, NaN where not seen."""
@@ -128,11 +130,9 @@ class MarkerSighting:
         """A marker's face at each corner seen, in the board's order, pixels: its shorter side, and its least height."""
         lines, side = self.grid.lines, self.grid.side
         row, column = np.nonzero(np.isfinite(self.known_px[..., 0]))
-        at = np.stack([lines.x[column], lines.y[row]], axis=-1)
-        about = at[:, None] + PROBE * side * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-        reached = predict_places(lines, self.known_px, self.reading.lens, about)
-        across, along = ((reached[:, k] - reached[:, k + 1]) / (2 * PROBE) for k in (0, 2))
-        lengths = np.linalg.norm([across, along], axis=-1)
+        steps = predict_steps(lines, self.known_px, self.reading.lens, PROBE * side)[row, column]
+        across, along = steps[:, 0], steps[:, 1]
+        lengths = np.sqrt(np.sum([across**2, along**2], axis=-1))
         spacing, height = np.full(n_points, np.nan), np.full(n_points, np.nan)
         index = self.grid.points[row, column]
         spacing[index] = lengths.min(axis=0)
@@ -217,9 +217,10 @@ def search_markers(
             _verify(image, sighting, first_id)
         sightings = _best(sightings)
         if sightings:
-            n_known = int(np.isfinite(sightings[0].known_px[..., 0]).sum())
+            n_known = int(np.count_nonzero(np.isfinite(sightings[0].known_px[..., 0])))
             if (
-                n_known >= ENOUGH_SHARE * _count_visible(sightings[0], image.shape)
+                n_known >= ENOUGH_SHARE * grids[0].points.size  # all that there are: the visible need not be counted
+                or n_known >= ENOUGH_SHARE * _count_visible(sightings[0], image.shape)
                 or n_known < (1 + LEAST_GAIN) * n_before
             ):
                 break
@@ -268,6 +269,8 @@ def _read_first(
 ) -> tuple[_Readings, ReadingWay | None, bool]:
     """The faces read in the way that reads most of them best; whether they are rather those of a mirror image."""
     best, best_score, mirrored_score = None, 0.0, 0.0
+    best_readings = _Readings(np.zeros((0, 4, 2)), np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, bool))
+    is_enough = False
     for is_inverted in (False, True):
         quads = faces.of(grids[0].is_dark == is_inverted)
         if len(quads) == 0:
@@ -285,17 +288,21 @@ def _read_first(
                 if score > best_score * (
                     LEAST_BETTER if best is not None and best.lens.f_px == 0 and lens.f_px else 1.0
                 ):
-                    best, best_score = ReadingWay(kind, lens, blur, is_inverted), score
+                    best, best_score, best_readings = ReadingWay(kind, lens, blur, is_inverted), score, readings
                     is_enough = _are_enough(readings.is_sure, area[largest])
                 if lens.f_px == 0 and blur == BLURS_CELLS[1] and not is_enough:
                     mirrored_score = max(mirrored_score, _mirrored_score(values, templates))
-            if is_enough and best is not None:
-                return _read_all(image, quads, best, first_id, n_ids), best, False
+            if is_enough:
+                break
+        if is_enough:
+            break
     if best is None:
-        return _Readings(np.zeros((0, 4, 2)), np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, bool)), None, False
+        return best_readings, None, False
     quads = faces.of(grids[0].is_dark == best.is_inverted)
-    is_mirrored = mirrored_score > 2 * best_score and mirrored_score >= 2 * SURE
-    return _read_all(image, quads, best, first_id, n_ids), best, is_mirrored
+    if len(quads) > MOST_COMPARED:
+        best_readings = _read_all(image, quads, best, first_id, n_ids)
+    is_mirrored = not is_enough and mirrored_score > 2 * best_score and mirrored_score >= 2 * SURE
+    return best_readings, best, is_mirrored
 
 
 def _lenses(kinds: Sequence[CodeKind], size_wh: tuple[int, int]) -> Iterator[tuple[CodeKind, FieldLens]]:
@@ -352,7 +359,7 @@ def _vote(readings: _Readings, way: ReadingWay, grids: Sequence[MarkerGrid], lea
         ]
         if len(of_grid.index) == 0:
             continue
-        corners = grid.corners()[of_grid.index]
+        corners = grid.corners[of_grid.index]
         group, agreeing, disagreeing = vote_on_tags(of_grid.quads_px, corners, way.lens, grid.lines.pitch)
         is_voter = (agreeing > disagreeing) | ((agreeing >= disagreeing) & of_grid.is_sure)
         best, members = 0.0, np.zeros(len(group), bool)
@@ -371,7 +378,7 @@ def _vote(readings: _Readings, way: ReadingWay, grids: Sequence[MarkerGrid], lea
 
 def _start(number: int, grid: MarkerGrid, way: ReadingWay, voters: _Readings) -> MarkerSighting:
     known = np.full((*grid.points.shape, 2), np.nan)
-    crossings = grid.crossings()
+    crossings = grid.crossings
     for k in np.argsort(voters.likeness, kind="stable"):
         column, row = crossings[voters.index[k]].T
         known[row, column] = voters.quads_px[k]
@@ -383,8 +390,8 @@ def _join(sighting: MarkerSighting, readings: _Readings) -> None:
     grid, way = sighting.grid, sighting.reading
     readings = readings[readings.index < len(grid.faces)]
     inner = grid.is_inner[readings.index] & (readings.likeness >= LIKELY)
-    crossings = grid.crossings()
-    corners = grid.corners()
+    crossings = grid.crossings
+    corners = grid.corners
     for _ in range(3):
         column, row = crossings[readings.index[inner]].reshape(-1, 2).T
         open_ = ~np.isfinite(sighting.known_px[row, column, 0]).reshape(-1, 4).all(axis=1)
@@ -428,8 +435,9 @@ def _follow_lens(sighting: MarkerSighting, size_wh: tuple[int, int]) -> bool:
     way, lines = sighting.reading, sighting.grid.lines
 
     def off_px(lens: FieldLens) -> float:
-        off = np.linalg.norm(predict_each(lines, sighting.known_px, lens) - sighting.known_px, axis=-1)
-        return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
+        off2 = ((predict_each(lines, sighting.known_px, lens) - sighting.known_px) ** 2).sum(axis=-1)
+        off2 = off2[np.isfinite(off2)]
+        return math.sqrt(np.partition(off2, len(off2) // 2)[len(off2) // 2]) if len(off2) else math.inf
 
     least = off_px(way.lens)
     if least < WELL_EXPECTED_PX:
@@ -444,7 +452,7 @@ def _follow_lens(sighting: MarkerSighting, size_wh: tuple[int, int]) -> bool:
 def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: int) -> None:
     """Reads every face where it should be; takes grown corners back whose faces all bear something else."""
     grid, way = sighting.grid, sighting.reading
-    crossings, corners = grid.crossings(), grid.corners()
+    crossings, corners = grid.crossings, grid.corners
     rows, columns = sighting.known_px.shape[:2]
     padded = np.full((rows + 2, columns + 2, 2), np.nan)
     padded[1:-1, 1:-1] = sighting.known_px
@@ -464,7 +472,7 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
         templates = code_templates(way.kind, first_id, len(grid.faces), way.blur_cells)
         rest = templates.residual(values)
         likeness[inside] = (rest * templates.turned[np.nonzero(inside)[0], 0]).sum(axis=1)
-    sighting.n_predicted = _count_crossings(crossings[np.nan_to_num(likeness) >= READ], rows, columns)
+    sighting.n_predicted = _count_crossings(crossings[likeness >= READ], rows, columns)
     likeness[~is_judged] = np.nan
     sighting.likeness = likeness
     known = likeness[np.isfinite(likeness) & is_known.all(axis=1)]
