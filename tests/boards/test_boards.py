@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from binocal.boards import Board, format_board, load_board, parse_board
 from binocal.boards.dictionaries import DICTIONARY_SIZES
+from binocal.boards.target_file import format_kalibr_target
 from binocal.errors import FormatError
 
 
@@ -265,3 +266,18 @@ def test_every_board_is_said_by_its_spec(board):
     assert said.pitch_m == pytest.approx(board.pitch_m, rel=1e-9) and said.marker_m == pytest.approx(
         board.marker_m, rel=1e-9
     )
+
+
+def test_circle_styles_are_read_and_written():
+    for spec in ("circles:11x9:30mm:large", "circles:11x9:hollow", "acircles:4x11:20mm:rings", "circles:10x10:30mm"):
+        assert format_board(parse_board(spec)) == spec
+    board = parse_board("circles:11x9:30mm:large")
+    assert board.allows_partial and not parse_board("circles:11x9:30mm:rings").allows_partial
+    places = board.object_points_m[list(board.marked_points), :2] / 0.03
+    assert np.allclose(places - places[0], [[0, 0], [2, 0], [0, 3]]) and np.allclose(places[0], [4, 2])
+    with pytest.raises(ValueError, match="at least 3 columns and 4 rows"):
+        parse_board("circles:9x3:30mm:large")
+    with pytest.raises(ValueError, match="kind circles"):
+        parse_board("acircles:4x11:20mm:hollow")
+    with pytest.raises(ValueError, match="plain discs alone"):
+        format_kalibr_target(board)

@@ -40,6 +40,15 @@ _NAMES = {
 }
 
 BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles"]
+CircleStyle = Literal["", "large", "hollow", "rings"]
+CIRCLE_STYLES = ("large", "hollow", "rings")
+MARKS = (
+    (0, 0),
+    (2, 0),
+    (0, 3),
+)  # columns and rows from the first: sides of 2, 3 and 1 steps, alike in no turn, mirror image or shear
+LARGE = 1.4  # a marked circle's diameter over the others'
+HOLE = 0.5  # a ring's inner diameter over its outer one
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +77,8 @@ class Board:
     """The lowest id. AprilGrid: that of the bottom-left tag, see :attr:`tag_ids`. ChArUco: that of the first marker."""
     circle_diameter_ratio: float = 0.5
     """Circle grids: diameter over the distance to the nearest neighbour; matters to rendering only."""
+    circle_style: CircleStyle = ""
+    """Circle grids: three circles about the middle larger ("large") or rings ("hollow"), all rings ("rings"), or plain."""
 
     def __post_init__(self) -> None:
         least = {"chessboard": 2, "charuco": 2, "aprilgrid": 1, "circles": 2, "acircles": 2}[self.kind]
@@ -97,6 +108,19 @@ class Board:
             raise ValueError(f"a first id belongs to boards with markers, and is 0 or more; got {self.first_tag_id}")
         if self.kind == "aprilgrid":
             self._check_tags()
+        if self.circle_style:
+            self._check_style()
+
+    def _check_style(self) -> None:
+        if self.circle_style not in CIRCLE_STYLES or self.kind not in ("circles", "acircles"):
+            raise ValueError(
+                f"circles are {', '.join(CIRCLE_STYLES)} or plain; got {self.circle_style!r} of {_NAMES[self.kind]}"
+            )
+        if self.circle_style != "rings" and (self.kind != "circles" or self.columns < 3 or self.rows < 4):
+            raise ValueError(
+                f"three {self.circle_style} circles mark grids of the kind circles with at least 3 columns and 4 rows; "
+                f"got {self.kind}:{self.columns}x{self.rows}"
+            )
 
     def _check_tags(self) -> None:
         if not 0 < self.tag_gap_ratio <= LARGEST_TAG_GAP_RATIO:
@@ -123,7 +147,15 @@ class Board:
     @property
     def allows_partial(self) -> bool:
         """True where every point carries its identity, so that a partly visible board can be used."""
-        return self.kind in ("charuco", "aprilgrid")
+        return self.kind in ("charuco", "aprilgrid") or bool(self.marked_points)
+
+    @property
+    def marked_points(self) -> tuple[int, ...]:
+        """The three marked circles of a circle grid: the first, the one two columns on, the one three rows on; else empty."""
+        if self.circle_style not in ("large", "hollow"):
+            return ()
+        column, row = (self.columns - 3) // 2, (self.rows - 4) // 2
+        return tuple((row + down) * self.columns + column + right for right, down in MARKS)
 
     @property
     def marker_dictionary(self) -> str:
@@ -195,6 +227,7 @@ def parse_board(spec: str) -> Board:
     if max(len(size[1]), len(size[2])) > len(str(MOST_POINTS)):
         raise ValueError(f"board {_shown(spec)!r} is too large: no board has more than {MOST_POINTS} points")
     columns, rows = int(size[1]), int(size[2])
+    style = fields.pop() if kind in ("circles", "acircles") and fields[-1] in CIRCLE_STYLES else ""
     most = {"charuco": 5, "aprilgrid": 5}.get(kind, 2)
     if len(fields) > most:
         raise ValueError(f"board {_shown(spec)!r} has too many fields; examples: {_EXAMPLES}")
@@ -228,7 +261,7 @@ def parse_board(spec: str) -> Board:
         return Board(
             kind, columns, rows, pitch_m, is_metric, dictionary=family, tag_gap_ratio=gap, first_tag_id=first_id
         )
-    return Board(kind, columns, rows, pitch_m, is_metric)  # type: ignore[arg-type]
+    return Board(kind, columns, rows, pitch_m, is_metric, circle_style=style)  # type: ignore[arg-type]
 
 
 def _parse_gap(text: str) -> float:
@@ -266,4 +299,8 @@ def format_board(board: Board) -> str:
         spec += f":{board.tag_gap_ratio!r}"
         if board.dictionary not in ("", "tag36h11"):
             spec += f":{board.dictionary}"
-    return spec + (f":{board.first_tag_id}" if board.first_tag_id else "")
+    return (
+        spec
+        + (f":{board.first_tag_id}" if board.first_tag_id else "")
+        + f":{board.circle_style}" * bool(board.circle_style)
+    )

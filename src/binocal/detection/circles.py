@@ -6,8 +6,10 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.boards.board import HOLE, LARGE
 from binocal.detection.finding.blobs import Blobs, find_blobs
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
+from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
@@ -16,37 +18,69 @@ from binocal.detection.measuring.centroids import centre_covariance, refine_cent
 from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
 from binocal.shapes import Float, Float32, Int
 
+MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
+# Scale and polarity: at half the size first, which is four times as fast.
+_LEVELS = ((2, True), (2, False), (1, True), (1, False))
 LEAST_OF_UNKNOWN = 12  # circles of a grid of which nothing is known: fewer are found in clutter
 
 
 def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
-    """The circles' centres; the whole board must be visible.
+    """The circles' centres; the whole board must be visible, unless three of its circles are marked.
 
     Centres are those of the circles themselves: the shift of a disc's centroid under perspective is taken out with the
     homography of the whole grid. A symmetric grid looks the same turned by half (a square one by a quarter); the
-    orientation whose rows run most to the lower right of the image is chosen, as with chessboards.
+    orientation whose rows run most to the lower right of the image is chosen, as with chessboards. Marked circles say
+    which way round a board is, and which part of it is seen.
     """
     least, enough = max(4, board.n_points // 2), int(0.95 * board.n_points)
+    if board.marked_points:
+        least = LEAST_MARKED
+    size_wh = grey.shape[1], grey.shape[0]
     best: tuple[int, tuple[int, int]] | None = None
+    fullest: tuple[int, FoundBoard] | None = None
     n_most = 0
-    for is_dark in (True, False):
-        blobs = find_blobs(stretched, is_dark=is_dark)
+    is_mirrored = False
+    for scale, is_dark in _LEVELS:
+        blobs = find_blobs(stretched, is_dark=is_dark, scale=scale)
         n_most = max(n_most, len(blobs))
-        for lattice in grow_point_lattices(
-            blobs.centres_px, blobs.radii_px, (grey.shape[1], grey.shape[0]), least=least, enough=enough
-        ):
-            index = match_circles(lattice, blobs.centres_px, board)
+        for lattice in grow_point_lattices(blobs.centres_px, blobs.radii_px, size_wh, least=least, enough=enough):
+            if board.marked_points:
+                index, is_mirror = match_marked(lattice, blobs, board, size_wh)
+                is_mirrored |= is_mirror
+                index = None if is_mirror else index
+            else:
+                index = match_circles(lattice, blobs.centres_px, board)
             if index is not None:
-                return _finish(grey, board, blobs, index, is_dark)
+                found = _finish(grey, board, blobs, index, is_dark)
+                n_found = int(found.is_seen.sum())
+                if n_found >= enough or not board.marked_points:
+                    return found
+                if found.is_found and (fullest is None or n_found > fullest[0]):
+                    fullest = n_found, found
+                continue
             (columns, rows), n_seen = measure_lattice(lattice, blobs.centres_px, board.kind)
-            if min(columns, rows) < 2 or n_seen < (1 - MAX_SHARE_MISSING) * columns * rows:
+            if board.marked_points:
+                n_seen = len(lattice.members)
+            elif min(columns, rows) < 2 or n_seen < (1 - MAX_SHARE_MISSING) * columns * rows:
                 continue  # a chance lattice of the clutter
             if best is None or n_seen > best[0]:
                 best = n_seen, (columns, rows)
+    if fullest is not None:
+        return fullest[1]
+    if is_mirrored:
+        return not_found(board.n_points, MIRRORED)
+    return _not_found(board, best, n_most)
+
+
+def _not_found(board: Board, best: tuple[int, tuple[int, int]] | None, n_spots: int) -> FoundBoard:
+    """Why: by the number of circles and the size of the fullest grid, if any was seen."""
     spec = f"{board.columns}x{board.rows}"
     if best is None:
-        return not_found(board.n_points, f"no circle grid found ({n_most} round spots seen)")
+        return not_found(board.n_points, f"no circle grid found ({n_spots} round spots seen)")
     n_seen, (columns, rows) = best
+    if board.marked_points:
+        text = f"a lattice of {n_seen} circles seen, but not the three {board.circle_style} ones that name them"
+        return not_found(board.n_points, text)
     if board.kind == "circles":  # either way round is the same grid
         columns, rows = max(columns, rows), min(columns, rows)
     if n_seen > board.n_points and columns * rows > board.n_points:
@@ -93,21 +127,36 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     if seen.sum() < 4:
         return not_found(board.n_points, "the circles are too faint to measure")
     size_wh = grey.shape[1], grey.shape[0]
-    centres[seen] -= _centroid_shift(xy[seen], centres[seen], areas_px2[seen], size_wh)
+    ratio, hole = _relative_sizes(board)
+    areas_px2 = np.where(hole > 0, spots.areas_px2, areas_px2)
+    # the centroid of what lies between two circles is off by more than the outer one's
+    shift = _centroid_shift(xy[seen], centres[seen], areas_px2[seen], ratio[seen], size_wh)
+    centres[seen] -= shift * (1 + hole[seen, None] ** 2)
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
     centres = keep_regular(xy, centres, spacing, size_wh)
     n_seen = int(np.isfinite(centres[:, 0]).sum())
-    if n_seen < (1 - MAX_SHARE_MISSING) * board.n_points:
+    n_least = 0.8 * (index >= 0).sum() if board.marked_points else (1 - MAX_SHARE_MISSING) * board.n_points
+    if n_seen < n_least:
         return not_found(board.n_points, f"the circles do not lie on a smooth grid ({n_seen} of {board.n_points} do)")
     note = "" if n_seen == board.n_points else f"{n_seen} of {board.n_points} circles seen"
     return FoundBoard(centres, centre_covariance(variance, centres), note=note)
+
+
+def _relative_sizes(board: Board) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """Each circle's diameter over a plain one's, and its hole's over its own."""
+    ratio, hole = np.ones(board.n_points), np.full(board.n_points, HOLE if board.circle_style == "rings" else 0.0)
+    marked = list(board.marked_points)
+    ratio[marked] = LARGE if board.circle_style == "large" else 1.0
+    hole[marked] = HOLE if board.circle_style == "hollow" else 0.0
+    return ratio, hole
 
 
 def _centroid_shift(
     xy: Float[ndarray, "n 2"],
     centres: Float[ndarray, "n 2"],
     areas_px2: Float[ndarray, "n"],
+    ratio: Float[ndarray, "n"],
     size_wh: tuple[int, int],
 ) -> Float[ndarray, "n 2"]:
     """Centroid of each disc's image minus the image of its centre, pixels.
@@ -128,8 +177,9 @@ def _centroid_shift(
         middle, right, left, below, above = np.moveaxis(seen.reshape(crosses.shape), 1, 0)
         dx, dy = (right - left) / (2 * step), (below - above) / (2 * step)
         magnification = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
-        radius = float(np.sqrt(np.nanmedian(areas_px2 / magnification) / np.pi))
-        outline = _images_of(xy, centres - shift, (xy[:, None] + radius * circle).reshape(-1, 2), size_wh)
+        radius = float(np.sqrt(np.nanmedian(areas_px2 / magnification / ratio**2) / np.pi))
+        around = xy[:, None] + radius * ratio[:, None, None] * circle
+        outline = _images_of(xy, centres - shift, around.reshape(-1, 2), size_wh)
         if outline is None:
             return np.zeros_like(centres)
         outline = outline.reshape(len(xy), -1, 2)

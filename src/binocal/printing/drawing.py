@@ -22,11 +22,13 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A black disc."""
+    """A black disc, or a ring about a white one."""
 
     x: float
     y: float
     radius: float
+    hole: float = 0.0
+    """Radius of the white disc inside."""
 
 
 @dataclass(frozen=True, slots=True)
