@@ -14,7 +14,7 @@ from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.found import FoundBoard, not_found
-from binocal.detection.measuring.centroids import centre_covariance, refine_centres
+from binocal.detection.measuring.ellipses import measure_spots
 from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
 from binocal.shapes import Float, Float32, Int
 
@@ -118,20 +118,16 @@ def find_circle_grid(stretched: Float32[ndarray, "h w"]) -> Board | None:
 
 def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"], is_dark: bool) -> FoundBoard:
     spots = blobs.select(index)
-    centres, variance, areas_px2 = refine_centres(
-        grey, spots.centres_px, spots.axes_px, spots.angles_rad, is_dark=is_dark
-    )
-    centres[index < 0] = np.nan
+    start = np.where(index[:, None] < 0, np.nan, spots.centres_px)
+    ratio, hole = _relative_sizes(board)
+    measured = measure_spots(grey, start, spots.axes_px, spots.angles_rad, is_dark=is_dark, holes=hole)
+    centres, areas_px2 = measured.centres_px.copy(), measured.areas_px2
     xy = board.object_points_m[:, :2]
     seen = np.isfinite(centres[:, 0])
     if seen.sum() < 4:
         return not_found(board.n_points, "the circles are too faint to measure")
     size_wh = grey.shape[1], grey.shape[0]
-    ratio, hole = _relative_sizes(board)
-    areas_px2 = np.where(hole > 0, spots.areas_px2, areas_px2)
-    # the centroid of what lies between two circles is off by more than the outer one's
-    shift = _centroid_shift(xy[seen], centres[seen], areas_px2[seen], ratio[seen], size_wh)
-    centres[seen] -= shift * (1 + hole[seen, None] ** 2)
+    centres[seen] -= _centroid_shift(xy[seen], centres[seen], areas_px2[seen], ratio[seen], size_wh)
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
     centres = keep_regular(xy, centres, spacing, size_wh)
@@ -140,7 +136,8 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     if n_seen < n_least:
         return not_found(board.n_points, f"the circles do not lie on a smooth grid ({n_seen} of {board.n_points} do)")
     note = "" if n_seen == board.n_points else f"{n_seen} of {board.n_points} circles seen"
-    return FoundBoard(centres, centre_covariance(variance, centres), note=note)
+    covariance = np.where(np.isfinite(centres)[:, :1, None], measured.covariance_px2, np.nan)
+    return FoundBoard(centres, covariance, note=note)
 
 
 def _relative_sizes(board: Board) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
@@ -159,7 +156,7 @@ def _centroid_shift(
     ratio: Float[ndarray, "n"],
     size_wh: tuple[int, int],
 ) -> Float[ndarray, "n 2"]:
-    """Centroid of each disc's image minus the image of its centre, pixels.
+    """Centre of each disc's image minus the image of its centre, pixels.
 
     Source: Heikkilä 2000, "Geometric camera calibration using circular control points"; there ellipses under a
     homography, here outlines under a homography and the image's own lens,
