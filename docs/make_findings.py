@@ -117,6 +117,16 @@ EXPLANATIONS = {
     "board-in-too-few-pairs": """
         A pair counts if both images show the board; three are needed. The message says in how many images of each camera it
         was found, and the commonest reason why it was not in the others.""",
+    "several-boards": """
+        In half of the images or more, more than one chessboard is seen and nothing says which is meant. `binocal calibrate` and
+        `binocal evaluate` then take every board of the SPEC for a view of its own; this refusal is what `binocal.detect_pairs`
+        and the other verbs say, which are about one board. With fewer such images, those alone are left out: another board may
+        stand about.""",
+    "boards-not-paired": """
+        Each camera's boards give its lens and every board's pose. A pair of boards then proposes where the right camera stands,
+        and is believed if that puts three boards or more of the left images where the right ones show boards of their SPEC, and
+        no other proposal matches more than six tenths as many. Boards that hang in an even row, tilted alike, match shifted by
+        one as well, and a rig from such pairs would be wrong without any sign of it.""",
     "parameters-undetermined": """
         The normal equations are singular: some combination of parameters changes nothing that the corners show. The sentence
         names the parameters that take the largest part in it.""",
