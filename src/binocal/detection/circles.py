@@ -6,8 +6,10 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.boards.board import HOLE, LARGE
 from binocal.detection.finding.blobs import Blobs, find_blobs
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
+from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
@@ -15,39 +17,71 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.circle_shift import measure_circle_shift
 from binocal.detection.measuring.ellipses import measure_spots
 from binocal.kernels.image_lens import LensFitOptions
-from binocal.shapes import Float32, Int
+from binocal.shapes import Float, Float32, Int
 
+MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
+# Scale and polarity: at half the size first, which is four times as fast.
+_LEVELS = ((2, True), (2, False), (1, True), (1, False))
 LEAST_OF_UNKNOWN = 12  # circles of a grid of which nothing is known: fewer are found in clutter
 
 
 def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
-    """The circles' centres; the whole board must be visible.
+    """The circles' centres; the whole board must be visible, unless three of its circles are marked.
 
     Centres are those of the circles themselves: the shift of a disc's centroid under perspective is taken out with the
     homography of the whole grid. A symmetric grid looks the same turned by half (a square one by a quarter); the
-    orientation whose rows run most to the lower right of the image is chosen, as with chessboards.
+    orientation whose rows run most to the lower right of the image is chosen, as with chessboards. Marked circles say
+    which way round a board is, and which part of it is seen.
     """
     least, enough = max(4, board.n_points // 2), int(0.95 * board.n_points)
+    if board.marked_points:
+        least = LEAST_MARKED
+    size_wh = grey.shape[1], grey.shape[0]
     best: tuple[int, tuple[int, int]] | None = None
+    fullest: tuple[int, FoundBoard] | None = None
     n_most = 0
-    for is_dark in (True, False):
-        blobs = find_blobs(stretched, is_dark=is_dark)
+    is_mirrored = False
+    for scale, is_dark in _LEVELS:
+        blobs = find_blobs(stretched, is_dark=is_dark, scale=scale)
         n_most = max(n_most, len(blobs))
-        for lattice in grow_point_lattices(
-            blobs.centres_px, blobs.radii_px, (grey.shape[1], grey.shape[0]), least=least, enough=enough
-        ):
-            index = match_circles(lattice, blobs.centres_px, board)
+        for lattice in grow_point_lattices(blobs.centres_px, blobs.radii_px, size_wh, least=least, enough=enough):
+            if board.marked_points:
+                index, is_mirror = match_marked(lattice, blobs, board, size_wh)
+                is_mirrored |= is_mirror
+                index = None if is_mirror else index
+            else:
+                index = match_circles(lattice, blobs.centres_px, board)
             if index is not None:
-                return _finish(grey, board, blobs, index, is_dark)
+                found = _finish(grey, board, blobs, index, is_dark)
+                n_found = int(found.is_seen.sum())
+                if n_found >= enough or not board.marked_points:
+                    return found
+                if found.is_found and (fullest is None or n_found > fullest[0]):
+                    fullest = n_found, found
+                continue
             (columns, rows), n_seen = measure_lattice(lattice, blobs.centres_px, board.kind)
-            if min(columns, rows) < 2 or n_seen < (1 - MAX_SHARE_MISSING) * columns * rows:
+            if board.marked_points:
+                n_seen = len(lattice.members)
+            elif min(columns, rows) < 2 or n_seen < (1 - MAX_SHARE_MISSING) * columns * rows:
                 continue  # a chance lattice of the clutter
             if best is None or n_seen > best[0]:
                 best = n_seen, (columns, rows)
+    if fullest is not None:
+        return fullest[1]
+    if is_mirrored:
+        return not_found(board.n_points, MIRRORED)
+    return _not_found(board, best, n_most)
+
+
+def _not_found(board: Board, best: tuple[int, tuple[int, int]] | None, n_spots: int) -> FoundBoard:
+    """Why: by the number of circles and the size of the fullest grid, if any was seen."""
     spec = f"{board.columns}x{board.rows}"
     if best is None:
-        return not_found(board.n_points, f"no circle grid found ({n_most} round spots seen)")
+        return not_found(board.n_points, f"no circle grid found ({n_spots} round spots seen)")
     n_seen, (columns, rows) = best
+    if board.marked_points:
+        text = f"a lattice of {n_seen} circles seen, but not the three {board.circle_style} ones that name them"
+        return not_found(board.n_points, text)
     if board.kind == "circles":  # either way round is the same grid
         columns, rows = max(columns, rows), min(columns, rows)
     if n_seen > board.n_points and columns * rows > board.n_points:
@@ -86,7 +120,8 @@ def find_circle_grid(stretched: Float32[ndarray, "h w"]) -> Board | None:
 def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"], is_dark: bool) -> FoundBoard:
     spots = blobs.select(index)
     start = np.where(index[:, None] < 0, np.nan, spots.centres_px)
-    measured = measure_spots(grey, start, spots.axes_px, spots.angles_rad, is_dark=is_dark)
+    ratio, hole = _relative_sizes(board)
+    measured = measure_spots(grey, start, spots.axes_px, spots.angles_rad, is_dark=is_dark, holes=hole)
     centres, areas_px2 = measured.centres_px.copy(), measured.areas_px2
     xy = board.object_points_m[:, :2]
     seen = np.isfinite(centres[:, 0])
@@ -95,13 +130,23 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     size_wh = grey.shape[1], grey.shape[0]
     if determine_plane(xy[seen]):
         options = LensFitOptions(has_one_unknown=bool(seen.sum() < N_FOR_WHOLE_LENS))
-        centres[seen] -= measure_circle_shift(xy[seen], centres[seen], areas_px2[seen], size_wh, options)
+        centres[seen] -= measure_circle_shift(xy[seen], centres[seen], areas_px2[seen], size_wh, options, ratio[seen])
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
     centres = keep_regular(xy, centres, spacing, size_wh)
     n_seen = int(np.isfinite(centres[:, 0]).sum())
-    if n_seen < (1 - MAX_SHARE_MISSING) * board.n_points:
+    n_least = 0.8 * (index >= 0).sum() if board.marked_points else (1 - MAX_SHARE_MISSING) * board.n_points
+    if n_seen < n_least:
         return not_found(board.n_points, f"the circles do not lie on a smooth grid ({n_seen} of {board.n_points} do)")
     note = "" if n_seen == board.n_points else f"{n_seen} of {board.n_points} circles seen"
     covariance = np.where(np.isfinite(centres)[:, :1, None], measured.covariance_px2, np.nan)
     return FoundBoard(centres, covariance, note=note)
+
+
+def _relative_sizes(board: Board) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """Each circle's diameter over a plain one's, and its hole's over its own."""
+    ratio, hole = np.ones(board.n_points), np.full(board.n_points, HOLE if board.circle_style == "rings" else 0.0)
+    marked = list(board.marked_points)
+    ratio[marked] = LARGE if board.circle_style == "large" else 1.0
+    hole[marked] = HOLE if board.circle_style == "hollow" else 0.0
+    return ratio, hole

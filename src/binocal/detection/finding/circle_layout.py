@@ -24,13 +24,13 @@ def match_circles(
     """
     points = points_px[lattice.members]
     best: tuple[float, ndarray] | None = None
-    for xy in _layouts(lattice, points, board.kind, turns=4):
+    for xy in lattice_layouts(lattice, points, board.kind, turns=4):
         first = _Occupancy(xy, board.kind).window(board)
         if first is None:
             continue
         way = _way(xy, points)
         if best is None or way > best[0]:
-            best = way, _assign(lattice, xy - first, board)
+            best = way, assign_points(lattice, xy - first, board)
     return None if best is None else best[1]
 
 
@@ -40,13 +40,14 @@ def measure_lattice(
     """Columns and rows of the grid of that kind that a lattice fills best, and how many of its circles are seen."""
     points = points_px[lattice.members]
     extents = [
-        _Occupancy(xy, kind).extent() for xy in _layouts(lattice, points, kind, turns=2 if kind == "acircles" else 1)
+        _Occupancy(xy, kind).extent()
+        for xy in lattice_layouts(lattice, points, kind, turns=2 if kind == "acircles" else 1)
     ]
     _, n_seen, size = max(extents, key=lambda extent: extent[0])
     return size, n_seen
 
 
-def _layouts(lattice: LatticePoints, points: ndarray, kind: str, *, turns: int) -> Iterator[Int[ndarray, "m 2"]]:
+def lattice_layouts(lattice: LatticePoints, points: ndarray, kind: str, *, turns: int) -> Iterator[Int[ndarray, "m 2"]]:
     """Integer coordinates of a lattice's points on a board of its kind, in pitches, in each basis and turned by 90 degrees."""
     behind = is_seen_from_behind(points, lattice.cells)
     for basis in _BASES:
@@ -134,7 +135,7 @@ _BORDERS = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
 _WITHOUT = (np.s_[1:], np.s_[:-1], np.s_[:, 1:], np.s_[:, :-1])
 
 
-def _assign(lattice: LatticePoints, xy: Int[ndarray, "m 2"], board: Board) -> Int[ndarray, "n"]:
+def assign_points(lattice: LatticePoints, xy: Int[ndarray, "m 2"], board: Board) -> Int[ndarray, "n"]:
     """Index of each board point's spot, -1 where none; ``xy`` in pitches from the board's first circle."""
     x, y = xy.T
     column = x // 2 if board.kind == "acircles" else x

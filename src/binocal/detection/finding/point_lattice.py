@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +16,7 @@ SURE_STEP_ERROR = 0.12  # taken before any that are farther off, which are looke
 MAX_RADIUS_RATIO = 1.9  # between a spot and those about it: some boards mark spots by 1.4 times the diameter
 N_FOR_LENS = 12  # points, from which on they tell the image's lens
 _N_NEAR = 8
+_ALONG = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 _AROUND = np.array([[x, y] for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
 _MOST_SEEDS, _SEEDS_A_LATTICE = 12, 3
 _MOST_BASES = 3  # of a seed
@@ -202,53 +202,45 @@ def _expect(
     known = np.pad(is_taken, 1)
     beside = known[2:, 1:-1] | known[:-2, 1:-1] | known[1:-1, 2:] | known[1:-1, :-2]
     row, column = np.nonzero(beside & ~is_taken)
-    sums, weights = np.zeros((len(row), 2)), np.zeros(len(row))
-    step_sum, size_sum, n_sides = np.zeros(len(row)), np.zeros(len(row)), np.zeros(len(row))
     at = np.stack([row, column], axis=-1) + apron
     size_map = np.pad(np.where(is_taken, sizes[place], np.nan), apron, constant_values=np.nan)
-    for expected, weight, step, size in _from_each_side(wide, size_map, at, basis):
-        is_known = np.isfinite(expected[:, 0])
-        sums[is_known] += weight[is_known, None] * expected[is_known]
-        weights[is_known] += weight[is_known]
-        step_sum[is_known] += step[is_known]
-        size_sum[is_known] += size[is_known]
-        n_sides[is_known] += 1
-    n_sides = np.maximum(n_sides, 1)
-    expected = np.where(weights[:, None] > 0, sums / np.maximum(weights, 1e-12)[:, None], np.inf)
-    return row, column, expected, np.maximum(step_sum / n_sides, 1e-9), size_sum / n_sides
+    expected, weight, step, size = _from_each_side(wide, size_map, at, basis)
+    is_known = np.isfinite(expected[..., 0])
+    weight = np.where(is_known, weight, 0.0)
+    total, n_sides = weight.sum(axis=0), np.maximum(is_known.sum(axis=0), 1)
+    expected = (weight[..., None] * np.where(is_known[..., None], expected, 0.0)).sum(axis=0)
+    expected = np.where(total[:, None] > 0, expected / np.maximum(total, 1e-12)[:, None], np.inf)
+    step, size = (np.where(is_known, values, 0.0).sum(axis=0) / n_sides for values in (step, size))
+    return row, column, expected, np.maximum(step, 1e-9), size
 
 
 def _from_each_side(
     wide: ndarray, size_map: ndarray, at: ndarray, basis: tuple[ndarray, ndarray] | None
-) -> Iterator[tuple[ndarray, ndarray, ndarray, ndarray]]:
+) -> tuple[Float[ndarray, "4 k 2"], Float[ndarray, "4 k"], Float[ndarray, "4 k"], Float[ndarray, "4 k"]]:
     """Where a cell's point should be by its neighbour on each side, with a weight, the step that leads there, and the size.
 
     NaN where its steps are not known. The step is the one before, changed as the steps change along the line, else as
     beside it, else the basis's.
     """
-    for axis in (0, 1):
-        along = np.eye(2, dtype=int)[axis]
-        across = along[::-1]
-        for way in (1, -1):
 
-            def look(i: int, j: int = 0, along=along, across=across, way=way) -> ndarray:
-                place = at - i * way * along + j * across
-                return wide[place[:, 0], place[:, 1]]
+    def look(i: int, j: int = 0) -> ndarray:
+        place = at - i * _ALONG[:, None] + j * np.abs(_ALONG[:, None, ::-1])
+        return wide[place[..., 0], place[..., 1]]
 
-            first, second, third = look(1), look(2), look(3)
-            step, weight = np.full(first.shape, np.nan), np.full(len(first), 1e-3)
-            if basis is not None:
-                step[:] = way * basis[axis]
-            behind = first - second
-            for side in (1, -1):  # the same step in the lines beside it
-                beside = look(0, side) - look(1, side)
-                bent = behind + (beside - (look(1, side) - look(2, side)))
-                for better, worth in ((beside, 1.0), (bent, 3.0)):
-                    is_known = np.isfinite(better[:, 0]) & (weight < worth)
-                    step[is_known], weight[is_known] = better[is_known], worth
-            bent = 2 * behind - (second - third)
-            for better, worth in ((behind, 1.0), (bent, 2.0)):
-                is_known = np.isfinite(better[:, 0]) & (weight < worth)
-                step[is_known], weight[is_known] = better[is_known], worth
-            place = at - way * along
-            yield first + step, weight, np.hypot(step[:, 0], step[:, 1]), size_map[place[:, 0], place[:, 1]]
+    first, second = look(1), look(2)
+    behind = first - second
+    if basis is None:
+        step = np.full(first.shape, np.nan)
+    else:
+        step = np.tile(np.array([basis[0], -basis[0], basis[1], -basis[1]])[:, None], (1, len(at), 1))
+    weight = np.full(first.shape[:2], 1e-3)
+    better = [(behind, 1.0), (2 * behind - (second - look(3)), 2.0)]
+    for side in (1, -1):  # the same step in the lines beside it
+        here = look(1, side)
+        beside = look(0, side) - here
+        better += [(beside, 1.0), (behind + (beside - (here - look(2, side))), 3.0)]
+    for other, worth in better:
+        is_known = np.isfinite(other[..., 0]) & (weight < worth)
+        step[is_known], weight[is_known] = other[is_known], worth
+    before = at - _ALONG[:, None]
+    return first + step, weight, np.hypot(step[..., 0], step[..., 1]), size_map[before[..., 0], before[..., 1]]

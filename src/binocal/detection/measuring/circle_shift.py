@@ -18,25 +18,29 @@ def measure_circle_shift(
     areas_px2: Float[ndarray, "n"],
     size_wh: tuple[int, int],
     options: LensFitOptions,
+    relative_radii: Float[ndarray, "n"],
 ) -> Float[ndarray, "n 2"]:
     """Centre of each circle's image minus the image of its centre, pixels, by the image's own lens and plane.
 
-    ``areas_px2`` are the circles' areas in the image, from which their one radius follows. Zero where no plane fits; that
-    the places determine one is not checked.
+    ``areas_px2`` are the circles' areas in the image, from which their radius follows, given each one's over a plain
+    circle's. Zero where no plane fits; that the places determine one is not checked.
     """
     shift = np.zeros_like(centres_px)
     for _ in range(_ROUNDS):
         lens = fit_image_lens(board_xy, centres_px - shift, size_wh, options)
         if lens is None:
             return np.zeros_like(centres_px)
-        shift = circle_shift(lens, centres_px - shift, areas_px2)
+        shift = circle_shift(lens, centres_px - shift, areas_px2, relative_radii)
     return shift
 
 
 def circle_shift(
-    lens: ImageLens, centres_px: Float[ndarray, "n 2"], areas_px2: Float[ndarray, "n"]
+    lens: ImageLens,
+    centres_px: Float[ndarray, "n 2"],
+    areas_px2: Float[ndarray, "n"],
+    relative_radii: Float[ndarray, "n"],
 ) -> Float[ndarray, "n 2"]:
-    """Centroid of each image of a circle of one radius R minus the image of its centre, pixels.
+    """Centroid of each image of a circle of radius R minus the image of its centre, pixels.
 
     With P the map from the plane to the image and J its derivative, R^2 / 4 (lap P / 2 + J grad ln |det J|): the mean of P over the
     disc, every place weighted by the area that it has in the image, to second order. For a homography it is the
@@ -54,5 +58,5 @@ def circle_shift(
     on_plane = np.einsum("nji,najk,nkl->nail", J, second, J)
     laplacian = -np.einsum("nka,naii->nk", J, on_plane)
     slope = -np.einsum("nlil->ni", on_plane)
-    radius2 = float(np.median(areas_px2 / np.abs(np.linalg.det(J)))) / np.pi
-    return radius2 / 4 * (0.5 * laplacian + np.einsum("nki,ni->nk", J, slope))
+    plain = float(np.median(areas_px2 / np.abs(np.linalg.det(J)) / relative_radii**2)) / np.pi
+    return (plain * relative_radii**2 / 4)[:, None] * (0.5 * laplacian + np.einsum("nki,ni->nk", J, slope))
