@@ -289,8 +289,9 @@ def _base(detections: Detections, request: CalibrationRequest) -> _Base:
     nominal = solve_clean(detections, replace(request, model=PLAIN)) or _diagnosed(detections, request)
     request.check_stop()
     views, estimate = nominal.views, nominal.minimum.estimate
-    if request.board_shape != "flat":
-        solve = solve_as_they_were(nominal.problem, nominal.minimum, replace(request, exposure="together"))
+    if request.board_shape != "flat" or views.object_sigma_m is not None:
+        together = replace(request, exposure="together")
+        solve = solve_as_they_were(nominal.problem, nominal.minimum, together, views.object_sigma_m)
         estimate = solve.minimum.estimate.bundle
         views = replace(views, object_points_m=np.ascontiguousarray(solve.minimum.estimate.points.T))
     return _Base(views, nominal.problem, estimate)
