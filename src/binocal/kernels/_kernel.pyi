@@ -15,6 +15,7 @@ Plane: TypeAlias = ndarray[tuple[int, ...], dtype[float32]]
 
 N_OBSERVED: int
 RECORD_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
+ELLIPSE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 
 # residuals
 @final
@@ -220,6 +221,9 @@ def predict_places(
 def predict_each(
     x: Floats, y: Floats, pitch: float, known: Floats, weight: Floats, cx: float, cy: float, f: float, points: Floats, /
 ) -> None: ...
+def predict_steps(
+    x: Floats, y: Floats, pitch: float, known: Floats, cx: float, cy: float, f: float, probe: float, steps: Floats, /
+) -> None: ...
 def grow_lattice(
     image: ndarray,
     x: Floats,
@@ -248,7 +252,8 @@ def grow_groups(
 def fit_corners(
     image: ndarray, bottom: float, top: float, inputs: Floats, board_xy: Floats, pitch: float, results: Floats, /
 ) -> None: ...
-def pool_corners(fits: Floats, pooled: Floats, /) -> float: ...
+def pool_corners(fits: Floats, are_corners: bool, pooled: Floats, /) -> float: ...
+def fit_ellipses(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
 def fit_image_lens(
     board_xy: Floats,
     points: Floats,
