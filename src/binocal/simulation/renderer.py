@@ -14,7 +14,7 @@ sigma² - 0.14² + (1/4)²/12, the last term because the mean of four points is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal
 
@@ -29,7 +29,7 @@ from binocal.simulation.background import draw_background
 from binocal.simulation.coverage import Footprint, Sheet, sheet_of
 from binocal.simulation.imaging import rays_of_pixels, read_out, through_lens
 from binocal.simulation.layout import printed_extent_m, sheet_margin
-from binocal.simulation.optics import blur_image, blur_kernel
+from binocal.simulation.optics import BlurKernel, blur_image, blur_kernel
 from binocal.simulation.printed_shape import PrintedShape
 from binocal.simulation.visibility import field_angle_rad, visible_px
 
@@ -73,6 +73,8 @@ class RenderOptions:
     """Black border cells of AprilGrid tags: 2 on Kalibr's sheets, 1 as tags are mostly printed elsewhere."""
     shape: PrintedShape | None = None
     """How the sheet is bent and where its print lies; None: a plane, printed as drawn."""
+    behind: Float[ndarray, "h w"] | None = field(default=None, compare=False)
+    """What stands behind the board, as the lens shows it (grey levels of every pixel); None: clutter."""
 
     def __post_init__(self) -> None:
         if self.blur_px < 0 or self.noise_dn < 0 or self.gamma <= 0 or not 0 <= self.vignetting < 1:
@@ -116,7 +118,7 @@ def render_light(
     """What the pixels receive, in grey levels, before gamma, noise and rounding (float32).
 
     Raises:
-        ValueError: The camera looks at the back of the board, or the board cannot be printed.
+        ValueError: The camera looks at the back of the board, the board cannot be printed, or ``behind`` is of another size.
     """
     if T_camera_board.t.shape != (3,):
         raise ValueError(f"T_camera_board must be one pose, t (3,); got {T_camera_board.t.shape}")
@@ -127,9 +129,7 @@ def render_light(
     rest = kernel.without(_SPREAD_PX**2 - 1 / (12 * _FINE**2))
     apron = 8 * (kernel.reach_px // 8 + 1)  # steps of 8, so that the rays serve other blurs too
     rays = rays_of_pixels(camera, apron)
-    light = blur_image(
-        draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn), kernel, scale=1
-    )
+    light = _behind(camera, options, rng, kernel)
     window = _sheet_window(camera, T_camera_board, board, apron, kernel.reach_px)
     if window is not None:
         rows, columns = window
@@ -154,6 +154,19 @@ def render_light(
         ]
         light[target] = board_light + (1 - coverage) * light[target]
     return through_lens(light, camera, rays[2, apron + 1 : -apron - 1, apron + 1 : -apron - 1], options.vignetting)
+
+
+def _behind(
+    camera: Camera, options: RenderOptions, rng: np.random.Generator, kernel: BlurKernel
+) -> Float[ndarray, "h w"]:
+    if options.behind is None:
+        clutter = draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn)
+        return blur_image(clutter, kernel, scale=1)
+    if options.behind.shape != camera.size_wh[::-1]:
+        raise ValueError(
+            f"behind must have the image's rows and columns, {camera.size_wh[::-1]}; got {options.behind.shape}"
+        )
+    return options.behind.astype(np.float32)
 
 
 @lru_cache(maxsize=8)
