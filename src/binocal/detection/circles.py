@@ -14,7 +14,7 @@ from binocal.detection.finding.planes import apply_homography, fit_homography
 from binocal.detection.finding.point_lattice import LatticePoints, grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.found import FoundBoard, not_found
-from binocal.detection.measuring.centroids import centre_covariance, refine_centres
+from binocal.detection.measuring.ellipses import measure_spots
 from binocal.shapes import Float, Float32, Int
 
 MAX_SHARE_MISSING = 0.1  # of a grid whose outline is complete
@@ -146,10 +146,9 @@ def _direction(cells: ndarray, points: ndarray) -> tuple[float, bool]:
 
 def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"], is_dark: bool) -> FoundBoard:
     spots = blobs.select(index)
-    centres, variance, areas_px2 = refine_centres(
-        grey, spots.centres_px, spots.axes_px, spots.angles_rad, is_dark=is_dark
-    )
-    centres[index < 0] = np.nan
+    start = np.where(index[:, None] < 0, np.nan, spots.centres_px)
+    measured = measure_spots(grey, start, spots.axes_px, spots.angles_rad, is_dark=is_dark)
+    centres, areas_px2 = measured.centres_px.copy(), measured.areas_px2
     xy = board.object_points_m[:, :2]
     seen = np.isfinite(centres[:, 0])
     if seen.sum() < 4:
@@ -162,13 +161,14 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     if n_seen < (1 - MAX_SHARE_MISSING) * board.n_points:
         return not_found(board.n_points, f"the circles do not lie on a smooth grid ({n_seen} of {board.n_points} do)")
     note = "" if n_seen == board.n_points else f"{n_seen} of {board.n_points} circles seen"
-    return FoundBoard(centres, centre_covariance(variance, centres), note=note)
+    covariance = np.where(np.isfinite(centres)[:, :1, None], measured.covariance_px2, np.nan)
+    return FoundBoard(centres, covariance, note=note)
 
 
 def _centroid_shift(
     xy: Float[ndarray, "n 2"], centres: Float[ndarray, "n 2"], areas_px2: Float[ndarray, "n"]
 ) -> Float[ndarray, "n 2"]:
-    """Centroid of each disc's image minus the image of its centre, pixels.
+    """Centre of each disc's image minus the image of its centre, pixels.
 
     Source: Heikkilä 2000, "Geometric camera calibration using circular control points"; there ellipses under a
     homography, here outlines under a homography and a polynomial for the lens, fitted to the centres as they get better.

@@ -22,11 +22,12 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A black disc."""
+    """A black disc, or a white one on what is black there."""
 
     x: float
     y: float
     radius: float
+    is_black: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,7 +94,7 @@ class _Layer:
             rim = np.nonzero(np.abs(inside) < 1)
             normals = np.stack([u[0, rim[1]], v[rim[0], 0]]) / distance[rim]
             share[rim] = _half_plane(inside[rim], normals)
-            part += share
+            part += share if disc.is_black else -share
 
     def _add_text(self, ink: Float32[ndarray, "rows width"], text: Text, top: int) -> None:
         import cv2
