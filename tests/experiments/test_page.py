@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import sys
@@ -163,3 +164,10 @@ def test_one_method_on_many_cases_is_read_downward():
     (table,) = tables_of(rows, "3")
     assert table.header == ("case", "zoom", "bound", "paper") and len(table.lines) == 6
     assert table.lines[2] == ("case 2", "2 (1.8..2.2)", "0.5", "0.12") and table.lines[0][2] == ""
+
+
+def test_a_figure_shows_its_own_part_alone():
+    other = dataclasses.replace(row("elsewhere", "c", 7.0), table="training")
+    part = Part("3", "Table 3", "", (Figure("length", "length (mm)", "Lengths", "lengths.svg"),))
+    files = page_files(Page("Page", (), (part,), (*ROWS, other)))
+    assert ">drl<" in files["lengths.svg"] and "elsewhere" not in files["lengths.svg"]
