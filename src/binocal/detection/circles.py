@@ -10,12 +10,13 @@ from binocal.boards.board import HOLE, LARGE
 from binocal.detection.finding.blobs import Blobs, find_blobs
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
 from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
-from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
+from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.measuring.circle_shift import measure_circle_shift
 from binocal.detection.measuring.ellipses import measure_spots
-from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
+from binocal.kernels.image_lens import LensFitOptions
 from binocal.shapes import Float, Float32, Int
 
 MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
@@ -127,7 +128,11 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     if seen.sum() < 4:
         return not_found(board.n_points, "the circles are too faint to measure")
     size_wh = grey.shape[1], grey.shape[0]
-    centres[seen] -= _centroid_shift(xy[seen], centres[seen], areas_px2[seen], ratio[seen], size_wh)
+    if determine_plane(xy[seen]):
+        options = LensFitOptions(has_one_unknown=bool(seen.sum() < N_FOR_WHOLE_LENS))
+        centres[seen] -= measure_circle_shift(
+            xy[seen], centres[seen], areas_px2[seen], size_wh, options, ratios=ratio[seen]
+        )
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
     centres = keep_regular(xy, centres, spacing, size_wh)
@@ -147,50 +152,3 @@ def _relative_sizes(board: Board) -> tuple[Float[ndarray, "n"], Float[ndarray, "
     ratio[marked] = LARGE if board.circle_style == "large" else 1.0
     hole[marked] = HOLE if board.circle_style == "hollow" else 0.0
     return ratio, hole
-
-
-def _centroid_shift(
-    xy: Float[ndarray, "n 2"],
-    centres: Float[ndarray, "n 2"],
-    areas_px2: Float[ndarray, "n"],
-    ratio: Float[ndarray, "n"],
-    size_wh: tuple[int, int],
-) -> Float[ndarray, "n 2"]:
-    """Centre of each disc's image minus the image of its centre, pixels.
-
-    Source: Heikkilä 2000, "Geometric camera calibration using circular control points"; there ellipses under a
-    homography, here outlines under a homography and the image's own lens,
-    fitted to the centres as they get better. The discs' radius follows from their areas in the image.
-    """
-    shift = np.zeros_like(centres)
-    step = 1e-3 * float(np.abs(xy - xy.mean(axis=0)).max())
-    crosses = xy[:, None] + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    angle = np.arange(72) * (2 * np.pi / 72)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    for _ in range(2):  # the first round's centres are off by the shift itself, which bends the map by a tenth of it
-        seen = _images_of(xy, centres - shift, crosses.reshape(-1, 2), size_wh)
-        if seen is None:
-            return np.zeros_like(centres)
-        middle, right, left, below, above = np.moveaxis(seen.reshape(crosses.shape), 1, 0)
-        dx, dy = (right - left) / (2 * step), (below - above) / (2 * step)
-        magnification = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
-        radius = float(np.sqrt(np.nanmedian(areas_px2 / magnification / ratio**2) / np.pi))
-        around = xy[:, None] + radius * ratio[:, None, None] * circle
-        outline = _images_of(xy, centres - shift, around.reshape(-1, 2), size_wh)
-        if outline is None:
-            return np.zeros_like(centres)
-        outline = outline.reshape(len(xy), -1, 2)
-        following = np.roll(outline, -1, axis=1)
-        cross = outline[..., 0] * following[..., 1] - outline[..., 1] * following[..., 0]
-        centroid = ((outline + following) * cross[..., None]).sum(axis=1) / (3 * cross.sum(axis=1))[:, None]
-        shift = np.nan_to_num(centroid - middle)
-    return shift
-
-
-def _images_of(
-    xy: Float[ndarray, "n 2"], centres: Float[ndarray, "n 2"], places: Float[ndarray, "m 2"], size_wh: tuple[int, int]
-) -> Float[ndarray, "m 2"] | None:
-    """Places of the board's plane as the image's own lens sees them; None if it cannot be told from the centres."""
-    options = LensFitOptions(has_one_unknown=len(xy) < N_FOR_WHOLE_LENS)
-    lens = fit_image_lens(xy, centres, size_wh, options, places_xy=places)
-    return None if lens is None else lens.images_px

@@ -8,8 +8,8 @@
 // The light falls on the print before the lens blurs both. To first order in g that is a pattern seen at x + s^2 g, for the mean of
 // (1 + g.y) f(y) under a Gaussian about x is (1 + g.x) F(x) + s^2 g.grad F(x): so s^2 g is added to the centre in the end.
 // Blur moves a curved edge inward by half its curvature times s^2: the half-axes are given without that.
-// Grey values at an end of the range are left out: what is clipped says nothing of the light's slope, and as if measured it pulls the
-// centre by half a pixel where paper saturates on one side.
+// Pixels that clip, by what the fit expects of them, are left out: what is clipped says nothing of the light's slope, and as if measured
+// it pulls the centre by half a pixel where paper saturates on one side.
 #pragma once
 
 #include "corner_fit.hpp"
@@ -30,6 +30,7 @@ constexpr double kEllipseSlack = 0.35;  // px: pixels are gathered again when th
 constexpr int kMaxEllipseEvaluations = 16;
 constexpr double kMostEllipsePixels = 4e5;
 constexpr double kMostElongation = 12;
+constexpr double kClearOfNoise = 2.5;  // standard deviations: of a normal value so far off, 0.002 of one is clipped away
 
 // An ellipse to start from, and how far from its outline, px, nothing else is printed: outside and inside it.
 struct EllipseInput {
@@ -126,9 +127,11 @@ inline void evaluate(EllipseWorkspace& work, const double* p, EllipseEquations& 
     portable::multiply(work, out);
 }
 
-// Gathers the pixels between the ellipses `inward` inside and `outward` outside the outline; false where they are too few.
-template <typename Pixel>
-bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outward, double inward, double scale, EllipseWorkspace& work) {
+// Gathers the pixels between the ellipses `inward` inside and `outward` outside the outline for which keeps(u, v, value) holds, u and v
+// from the outline's centre; false where they are too few.
+template <typename Pixel, typename Keeps>
+bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outward, double inward, double scale, const Keeps& keeps,
+            EllipseWorkspace& work) {
     double major, minor, angle;
     outline.axes(major, minor, angle);
     const Ellipse outer = Ellipse::of_axes(outline.x, outline.y, major + outward, minor + outward, angle);
@@ -149,7 +152,7 @@ bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outwar
         const auto first = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::ceil(from)));
         const auto last = std::min<std::ptrdiff_t>(image.width - 1, static_cast<std::ptrdiff_t>(std::floor(to)));
         for (std::ptrdiff_t column = first; column <= last; ++column) {
-            if (std::is_integral_v<Pixel> && (line[column] <= image.bottom || line[column] >= image.top)) {
+            if (!keeps(static_cast<double>(column) - outline.x, static_cast<double>(row) - outline.y, line[column])) {
                 ++patch.n_clipped;
                 continue;
             }
@@ -215,7 +218,7 @@ class EllipseFitter {
 
     EllipseResult fit() {
         EllipseResult result;
-        if (!begin() || !iterate() || !is_a_spot() || !describe(result))
+        if (!begin() || !iterate() || !leave_clipped_out() || !is_a_spot() || !describe(result))
             std::fill_n(reinterpret_cast<double*>(&result), kEllipseResultSize, std::numeric_limits<double>::quiet_NaN());
         return result;
     }
@@ -231,7 +234,27 @@ class EllipseFitter {
     // The band, as far as nothing else is printed in it.
     bool take(const Ellipse& ellipse, double blur) {
         const double wide = band(blur);
-        return gather(image_, ellipse, std::max(1.0, std::min(wide, input_.outward)), std::max(1.0, std::min(wide, input_.inward)), scale_, work_);
+        const double outward = std::max(1.0, std::min(wide, input_.outward)), inward = std::max(1.0, std::min(wide, input_.inward));
+        if (!std::is_integral_v<Pixel>) return gather(image_, ellipse, outward, inward, scale_, [](double, double, Pixel) { return true; }, work_);
+        if (!knows_noise_) {
+            auto keeps = [&](double, double, Pixel value) { return value > image_.bottom && value < image_.top; };
+            return gather(image_, ellipse, outward, inward, scale_, keeps, work_);
+        }
+        // Which pixels are left out does not depend on their noise: what the fit so far expects of them does not come near the range's ends.
+        const double away = kClearOfNoise * std::max(std::sqrt(cost_) / scale_, kLeastNoise_dn);
+        auto keeps = [&](double u, double v, Pixel) {
+            const double grey = expected(u, v) / scale_;
+            return grey > image_.bottom + away && grey < image_.top - away;
+        };
+        return gather(image_, ellipse, outward, inward, scale_, keeps, work_);
+    }
+
+    // The grey value, in the fit's unit, at u, v from the centre.
+    double expected(double u, double v) const {
+        const Ellipse e = outline(p_);
+        const double wx = e.xx * u + e.xy * v, wy = e.xy * u + e.yy * v, q = u * wx + v * wy;
+        const double d = (q - std::sqrt(std::max(q, 0.0))) / std::max(std::hypot(wx, wy), 1e-9);
+        return (p_[kLevel] + p_[kHalf] * std::erf(d * std::exp(-p_[kBlur]) * 0.70710678)) * (1 + p_[kLightX] * u + p_[kLightY] * v);
     }
 
     bool begin() {
@@ -364,6 +387,16 @@ class EllipseFitter {
         return false;
     }
 
+    // Once more where values are clipped: left out by what they are, those that noise kept from the top pull the level and the slope down.
+    bool leave_clipped_out() {
+        if (!work_.patch.n_clipped) return true;
+        knows_noise_ = true, n_evaluations_ = std::min(n_evaluations_, 4);
+        if (!take(outline(p_), std::exp(p_[kBlur]))) return false;
+        cost_ = evaluate_at(p_, current_);
+        last_moved_ = std::numeric_limits<double>::infinity(), damping_ = 0;
+        return iterate();
+    }
+
     bool damp() { return (damping_ = std::max(10 * damping_, 1e-3)) < 1e6; }
 
     // Pixels are gathered anew where the outline or the blur has moved.
@@ -444,7 +477,7 @@ class EllipseFitter {
     EllipseEquations current_{}, trial_{};
     double cost_ = 0, damping_ = 0;
     double last_moved_ = std::numeric_limits<double>::infinity();
-    bool is_linearized_here_ = true;
+    bool is_linearized_here_ = true, knows_noise_ = false;
     int n_evaluations_ = 0;
 };
 
