@@ -130,9 +130,7 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     size_wh = grey.shape[1], grey.shape[0]
     if determine_plane(xy[seen]):
         options = LensFitOptions(has_one_unknown=bool(seen.sum() < N_FOR_WHOLE_LENS))
-        centres[seen] -= measure_circle_shift(
-            xy[seen], centres[seen], areas_px2[seen], size_wh, options, ratios=ratio[seen]
-        )
+        centres[seen] -= measure_circle_shift(xy[seen], centres[seen], areas_px2[seen], size_wh, options, ratio[seen])
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)
     centres = keep_regular(xy, centres, spacing, size_wh)

@@ -82,7 +82,7 @@ def _shape(shape: Shape) -> str:
         ]
         return "\n".join([*outlines, "f"])
     if isinstance(shape, Disc):
-        return _circle(shape)
+        return _circle(shape) if shape.is_black else f"1 g {_circle(shape)} 0 g"
     text = _escaped(shape.text).decode("latin-1")
     return f"BT /F1 {_number(shape.size)} Tf 1 0 0 -1 {_number(shape.x)} {_number(shape.y)} Tm ({text}) Tj ET"
 

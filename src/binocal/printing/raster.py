@@ -88,9 +88,10 @@ class _Layer:
         if part.size:
             v = np.arange(part.shape[0])[:, None] + rows.start + top + 0.5 - y
             u = np.arange(part.shape[1])[None] + columns.start + 0.5 - x
-            part += _disc_share(u, v, radius)
+            share = _disc_share(u, v, radius)
             if disc.hole:
-                part -= _disc_share(u, v, self._scale * disc.hole)
+                share -= _disc_share(u, v, self._scale * disc.hole)
+            part += share if disc.is_black else -share
 
     def _add_text(self, ink: Float32[ndarray, "rows width"], text: Text, top: int) -> None:
         import cv2

@@ -48,7 +48,8 @@ def _shape(shape: Shape) -> str:
         centre = f'cx="{_number(shape.x)}" cy="{_number(shape.y)}"'
         return f'<circle {centre} r="{_number(middle)}" fill="none" stroke="#000" stroke-width="{_number(width)}"/>'
     if isinstance(shape, Disc):
-        return f'<circle cx="{_number(shape.x)}" cy="{_number(shape.y)}" r="{_number(shape.radius)}"/>'
+        fill = "" if shape.is_black else ' fill="#fff"'
+        return f'<circle cx="{_number(shape.x)}" cy="{_number(shape.y)}" r="{_number(shape.radius)}"{fill}/>'
     length = _number(ADVANCE * shape.size * len(shape.text))
     return (
         f'<text x="{_number(shape.x)}" y="{_number(shape.y)}" font-family="Courier, monospace" '

@@ -3,7 +3,7 @@
 One square of white paper surrounds the outer squares of a chessboard; the other kinds have margins that a detector
 needs. Conventions, each held against OpenCV or Kalibr by a test:
 
-- chessboard: the outer square at the board's top left is black.
+- chessboard: the outer square at the board's top left is black; marks are OpenCV's discs, or squares of the other colour.
 - ChArUco: OpenCV's ``CharucoBoard``; its top-left square is black, in the legacy layout with an even number of rows
   white.
 - AprilGrid: Kalibr's sheet: tags with ``border_bits`` (Kalibr: 2) cells of black around 6 x 6 data cells, all
@@ -16,13 +16,14 @@ needs. Conventions, each held against OpenCV or Kalibr by a test:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.boards.board import HOLE, LARGE
+from binocal.boards.marks import DISC_RADIUS
 from binocal.shapes import Float, Int
 
 _TAG36H11_ID0 = (
@@ -37,6 +38,8 @@ class CellPrint:
     x_edges: Float[ndarray, "columns_and_one"]
     y_edges: Float[ndarray, "rows_and_one"]
     ink: Int[ndarray, "rows columns"]
+    discs: Float[ndarray, "k 4"] = field(default_factory=lambda: np.zeros((0, 4)))
+    """Of the other colour than the cell about them: centre x, y and radius in pitches, and 1 where black is printed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,13 +118,22 @@ def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bi
         ValueError: The dictionary is unknown or has too few markers.
     """
     if board.kind == "chessboard":
-        row, column = np.mgrid[: board.rows + 1, : board.columns + 1]
-        return CellPrint(np.arange(-1.0, board.columns + 1), np.arange(-1.0, board.rows + 1), 1 - (row + column) % 2)
+        return _chessboard_print(board)
     if board.kind == "charuco":
         return _charuco_print(board, is_legacy_charuco)
     if board.kind == "aprilgrid":
         return _aprilgrid_print(board, april_border_bits)
     raise ValueError(f"{board.kind} is not made of cells")
+
+
+def _chessboard_print(board: Board) -> CellPrint:
+    row, column = np.mgrid[: board.rows + 1, : board.columns + 1]
+    ink = 1 - (row + column) % 2
+    for column_swapped, row_swapped in board.swapped:
+        ink[row_swapped, column_swapped] ^= 1
+    discs = [(x - 0.5, y - 0.5, DISC_RADIUS, 1.0 - ink[y, x]) for x, y in board.discs]
+    edges = np.arange(-1.0, board.columns + 1), np.arange(-1.0, board.rows + 1)
+    return CellPrint(*edges, ink, np.array(discs).reshape(-1, 4))
 
 
 def _charuco_print(board: Board, is_legacy: bool) -> CellPrint:

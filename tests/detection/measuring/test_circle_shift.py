@@ -42,7 +42,9 @@ def shot(camera, tilt_rad, distance_m):
 def test_nothing_is_left_of_the_shift(camera, distance_m, bound_px, tilt_rad):
     xy, truth, centroids, areas = shot(camera, tilt_rad, distance_m)
     inside = ((truth > 0) & (truth < SIZE_WH)).all(axis=1)
-    shift = measure_circle_shift(xy[inside], centroids[inside], areas[inside], SIZE_WH, LensFitOptions())
+    shift = measure_circle_shift(
+        xy[inside], centroids[inside], areas[inside], SIZE_WH, LensFitOptions(), np.ones(inside.sum())
+    )
     assert np.abs(centroids[inside] - shift - truth[inside]).max() < bound_px
 
 
@@ -51,4 +53,4 @@ def test_without_a_plane_nothing_is_taken_out():
         Camera("brown4", SIZE_WH, np.r_[1400, 1400, 640, 480, 0, -0.1, 0.02, 0, 0]), 0.6, 0.45
     )
     mirrored = xy * [-1, 1]  # seen from behind
-    assert not measure_circle_shift(mirrored, centroids, areas, SIZE_WH, LensFitOptions()).any()
+    assert not measure_circle_shift(mirrored, centroids, areas, SIZE_WH, LensFitOptions(), np.ones(len(xy))).any()

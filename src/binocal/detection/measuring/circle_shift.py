@@ -18,21 +18,19 @@ def measure_circle_shift(
     areas_px2: Float[ndarray, "n"],
     size_wh: tuple[int, int],
     options: LensFitOptions,
-    *,
-    ratios: Float[ndarray, "n"] | None = None,
+    relative_radii: Float[ndarray, "n"],
 ) -> Float[ndarray, "n 2"]:
     """Centre of each circle's image minus the image of its centre, pixels, by the image's own lens and plane.
 
-    ``areas_px2`` are the circles' areas in the image, from which their one radius follows, and ``ratios`` each
-    one's radius over that one, 1 if not given. Zero where no plane fits; that
-    the places determine one is not checked.
+    ``areas_px2`` are the circles' areas in the image, from which their radius follows, given each one's over a plain
+    circle's. Zero where no plane fits; that the places determine one is not checked.
     """
     shift = np.zeros_like(centres_px)
     for _ in range(_ROUNDS):
         lens = fit_image_lens(board_xy, centres_px - shift, size_wh, options)
         if lens is None:
             return np.zeros_like(centres_px)
-        shift = circle_shift(lens, centres_px - shift, areas_px2, ratios)
+        shift = circle_shift(lens, centres_px - shift, areas_px2, relative_radii)
     return shift
 
 
@@ -40,7 +38,7 @@ def circle_shift(
     lens: ImageLens,
     centres_px: Float[ndarray, "n 2"],
     areas_px2: Float[ndarray, "n"],
-    ratios: Float[ndarray, "n"] | None = None,
+    relative_radii: Float[ndarray, "n"],
 ) -> Float[ndarray, "n 2"]:
     """Centroid of each image of a circle of radius R minus the image of its centre, pixels.
 
@@ -60,6 +58,5 @@ def circle_shift(
     on_plane = np.einsum("nji,najk,nkl->nail", J, second, J)
     laplacian = -np.einsum("nka,naii->nk", J, on_plane)
     slope = -np.einsum("nlil->ni", on_plane)
-    ratio2 = np.ones(len(areas_px2)) if ratios is None else ratios**2
-    radius2 = float(np.median(areas_px2 / np.abs(np.linalg.det(J)) / ratio2)) / np.pi
-    return radius2 * ratio2[:, None] / 4 * (0.5 * laplacian + np.einsum("nki,ni->nk", J, slope))
+    plain = float(np.median(areas_px2 / np.abs(np.linalg.det(J)) / relative_radii**2)) / np.pi
+    return (plain * relative_radii**2 / 4)[:, None] * (0.5 * laplacian + np.einsum("nki,ni->nk", J, slope))

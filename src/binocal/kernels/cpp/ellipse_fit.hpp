@@ -28,6 +28,8 @@ constexpr double kLeastEllipseRadius = 1.8;  // px, of the smaller half-axis: a 
 constexpr float kLeastRelativeRadius = 0.05f;  // nearer to the centre the distance has no slope
 constexpr double kEllipseSlack = 0.35;  // px: pixels are gathered again when the outline has moved farther
 constexpr int kMaxEllipseEvaluations = 16;
+constexpr int kPixelsForCoarse = 240;  // from so many on, every other pixel is enough until the outline is nearly there
+constexpr double kNearlyThere_px = 0.2;
 constexpr double kMostEllipsePixels = 4e5;
 constexpr double kMostElongation = 12;
 constexpr double kClearOfNoise = 2.5;  // standard deviations: of a normal value so far off, 0.002 of one is clipped away
@@ -128,10 +130,10 @@ inline void evaluate(EllipseWorkspace& work, const double* p, EllipseEquations& 
 }
 
 // Gathers the pixels between the ellipses `inward` inside and `outward` outside the outline for which keeps(u, v, value) holds, u and v
-// from the outline's centre; false where they are too few.
+// from the outline's centre, every other one where it is coarse; false where they are too few.
 template <typename Pixel, typename Keeps>
 bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outward, double inward, double scale, const Keeps& keeps,
-            EllipseWorkspace& work) {
+            bool is_coarse, EllipseWorkspace& work) {
     double major, minor, angle;
     outline.axes(major, minor, angle);
     const Ellipse outer = Ellipse::of_axes(outline.x, outline.y, major + outward, minor + outward, angle);
@@ -149,9 +151,10 @@ bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outwar
     float *u = work.u(), *v = work.v(), *value = work.value();
     int n = 0;
     auto take = [&](const Pixel* line, std::ptrdiff_t row, double from, double to) {
-        const auto first = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::ceil(from)));
+        auto first = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::ceil(from)));
+        if (is_coarse && (first + row) % 2) ++first;
         const auto last = std::min<std::ptrdiff_t>(image.width - 1, static_cast<std::ptrdiff_t>(std::floor(to)));
-        for (std::ptrdiff_t column = first; column <= last; ++column) {
+        for (std::ptrdiff_t column = first; column <= last; column += is_coarse ? 2 : 1) {
             if (!keeps(static_cast<double>(column) - outline.x, static_cast<double>(row) - outline.y, line[column])) {
                 ++patch.n_clipped;
                 continue;
@@ -235,10 +238,10 @@ class EllipseFitter {
     bool take(const Ellipse& ellipse, double blur) {
         const double wide = band(blur);
         const double outward = std::max(1.0, std::min(wide, input_.outward)), inward = std::max(1.0, std::min(wide, input_.inward));
-        if (!std::is_integral_v<Pixel>) return gather(image_, ellipse, outward, inward, scale_, [](double, double, Pixel) { return true; }, work_);
+        if (!std::is_integral_v<Pixel>) return gather(image_, ellipse, outward, inward, scale_, [](double, double, Pixel) { return true; }, is_coarse_, work_);
         if (!knows_noise_) {
             auto keeps = [&](double, double, Pixel value) { return value > image_.bottom && value < image_.top; };
-            return gather(image_, ellipse, outward, inward, scale_, keeps, work_);
+            return gather(image_, ellipse, outward, inward, scale_, keeps, is_coarse_, work_);
         }
         // Which pixels are left out does not depend on their noise: what the fit so far expects of them does not come near the range's ends.
         const double away = kClearOfNoise * std::max(std::sqrt(cost_) / scale_, kLeastNoise_dn);
@@ -246,7 +249,7 @@ class EllipseFitter {
             const double grey = expected(u, v) / scale_;
             return grey > image_.bottom + away && grey < image_.top - away;
         };
-        return gather(image_, ellipse, outward, inward, scale_, keeps, work_);
+        return gather(image_, ellipse, outward, inward, scale_, keeps, is_coarse_, work_);
     }
 
     // The grey value, in the fit's unit, at u, v from the centre.
@@ -267,6 +270,8 @@ class EllipseFitter {
         if (!(input_.x >= reach && input_.y >= reach && input_.x <= image_.width - 1 - reach && input_.y <= image_.height - 1 - reach)) return false;
         const Ellipse ellipse = Ellipse::of_axes(input_.x, input_.y, input_.major, input_.minor, input_.angle);
         work_.patch.unit = 1 / (input_.major * input_.minor);
+        const double length = 3.14159265358979 * (input_.major + input_.minor);
+        is_coarse_ = length * std::min(2 * kLeastBand, std::min(kLeastBand, input_.outward) + std::min(kLeastBand, input_.inward)) > kPixelsForCoarse;
         if (!take(ellipse, 1.0) || !levels(ellipse)) return false;
         const double unit = work_.patch.unit;
         const double first[kEllipseParameters] = {ellipse.x, ellipse.y, ellipse.xx / unit, ellipse.xy / unit, ellipse.yy / unit,
@@ -344,6 +349,13 @@ class EllipseFitter {
                                     (step.moved < kLastStepAtMost && step.moved < kLastStepShrinks * last_moved_ && step.decrement < noise2));
     }
 
+    double change_of_axes(const Step& step) const {
+        double major, minor, angle, old_major, old_minor;
+        outline(step.next).axes(major, minor, angle);
+        outline(p_).axes(old_major, old_minor, angle);
+        return std::max(std::fabs(major - old_major), std::fabs(minor - old_minor));
+    }
+
     void end(const Step& step) {
         float* residual = work_.column(kEllipseParameters);
         for (int k = 0; k < kEllipseParameters; ++k) {
@@ -363,6 +375,13 @@ class EllipseFitter {
                 continue;
             }
             if (std::hypot(step.next[kCentreX] - input_.x, step.next[kCentreY] - input_.y) > 0.4 * input_.minor + 1) return false;
+            if (is_coarse_ && (step.shrink == 1 && step.moved < kNearlyThere_px && change_of_axes(step) < kNearlyThere_px)) {
+                std::copy(step.next, step.next + kEllipseParameters, p_);
+                is_coarse_ = false, is_linearized_here_ = true, last_moved_ = step.moved;
+                if (!take(outline(p_), std::exp(p_[kBlur]))) return false;
+                cost_ = evaluate_at(p_, current_);
+                continue;
+            }
             if (is_last(step)) {
                 if (!is_linearized_here_) evaluate_at(p_, current_);
                 end(step);
@@ -477,7 +496,7 @@ class EllipseFitter {
     EllipseEquations current_{}, trial_{};
     double cost_ = 0, damping_ = 0;
     double last_moved_ = std::numeric_limits<double>::infinity();
-    bool is_linearized_here_ = true, knows_noise_ = false;
+    bool is_linearized_here_ = true, knows_noise_ = false, is_coarse_ = false;
     int n_evaluations_ = 0;
 };
 
