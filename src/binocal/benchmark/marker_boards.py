@@ -233,7 +233,7 @@ def run_marker_board_benchmark(
     finally:
         cv2.setNumThreads(own_threads)
     machine = f"{platform.machine()}, Python {platform.python_version()}, OpenCV {cv2.__version__}"
-    text = _format(rows, images, seed, machine)
+    text = format_rows(rows, images, seed, machine)
     return {"benchmark": "boards", "images": images, "seed": seed, "machine": machine, "rows": rows, "text": text}
 
 
@@ -265,7 +265,8 @@ def _row(spec: str, case: str, name: str, tally: _Tally) -> dict[str, Any]:
     }
 
 
-def _format(rows: list[dict[str, Any]], images: int, seed: int, machine: str) -> str:
+def format_rows(rows: list[dict[str, Any]], images: int, seed: int, machine: str) -> str:
+    """A table of the rows of boards, cases and finders."""
     lines = [
         f"{images} rendered images {SIZE_WH[0]}x{SIZE_WH[1]} a case, seed {seed} ({machine}); boards: half of the corners or more",
         f"{'board':>10} {'case':>9} {'finder':>8} {'corners':>8} {'boards':>7} {'wrong':>6} {'rms, px':>8} {'CPU, ms':>8}",
