@@ -53,7 +53,8 @@ MAX_OFF_PX, MAX_OFF_SPACINGS = 1.5, 0.1  # the larger of both is near enough to 
 WRONG_SPACINGS = 0.4  # farther off, a circle has the name of another one
 LEAST_SHARE = 0.35  # of the circles, that a partial view shows
 N_STRAYS = 12
-_OUTLINE = np.exp(1j * np.arange(16) * np.pi / 8)
+_ANGLES = np.arange(16) * np.pi / 8
+_OUTLINE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(16)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +86,10 @@ def draw_circle_scene(spec: str, case: str, seed: int, index: int) -> CircleScen
     """The ``index``-th image of a board in a case."""
     rng = np.random.default_rng([seed, index, list(CASES).index(case), len(spec)])
     board = parse_board(spec)
-    light = {"shading": tuple(rng.uniform(-0.6, 0.6, 2))} if case == "light" else {}
-    options = RenderOptions(**({"blur_px": rng.uniform(0.5, 1.2), "noise_dn": rng.uniform(1, 4)} | CASES[case] | light))
+    given: dict[str, Any] = {"blur_px": rng.uniform(0.5, 1.2), "noise_dn": rng.uniform(1, 4)} | CASES[case]
+    if case == "light":
+        given["shading"] = tuple(rng.uniform(-0.6, 0.6, 2))
+    options = RenderOptions(**given)
     width, height = SIZE_WH
     f = width / WIDE_RAD if case == "wide" else 1.1 * width
     distortion = np.zeros(5) if case == "wide" else np.array([0, -0.1, 0.02, 0, 0])
@@ -127,9 +130,9 @@ def _draw_pose(board: Board, f: float, case: str, rng: np.random.Generator) -> S
 def _in_view(camera: Camera, T_camera_board: SE3, board: Board) -> Bool[ndarray, "n"]:
     """Which circles lie in the image, with a rim about them."""
     reach = RIM_DISCS * disc_print(board).radius * board.pitch_m
-    rims = board.object_points_m + reach * np.stack([_OUTLINE.real, _OUTLINE.imag, 0 * _OUTLINE.real], axis=-1)[:, None]
+    rims = board.object_points_m + reach * _OUTLINE[:, None]
     pixels = camera.project(T_camera_board.apply(rims.reshape(-1, 3))).reshape(len(_OUTLINE), -1, 2)
-    return ((pixels > 1) & (pixels < np.array(SIZE_WH) - 2)).all(axis=(0, 2))
+    return np.logical_and.reduce((pixels > 1) & (pixels < np.array(SIZE_WH) - 2), axis=(0, 2))
 
 
 def _draw_strays(image: ndarray, centres: ndarray, rng: np.random.Generator) -> UInt8[ndarray, "h w"]:

@@ -307,17 +307,23 @@ def _row(spec: str, case: str, name: str, tally: _Tally) -> dict[str, Any]:
     }
 
 
+def _kind(spec: str) -> str:
+    """A SPEC's kind, with the style of its circles."""
+    board = parse_board(spec)
+    return board.kind + f":{board.circle_style}" * bool(board.circle_style)
+
+
 def format_rows(rows: list[dict[str, Any]], images: int, seed: int, machine: str) -> str:
     """A table of the rows of boards, cases and finders."""
     lines = [
         f"{images} rendered images {SIZE_WH[0]}x{SIZE_WH[1]} a case, seed {seed} ({machine}); boards: half of the corners or more",
-        f"{'board':>10} {'case':>9} {'finder':>8} {'corners':>8} {'boards':>7} {'wrong':>6} {'rms, px':>8} {'CPU, ms':>8}",
+        f"{'board':>14} {'case':>12} {'finder':>8} {'corners':>8} {'boards':>7} {'wrong':>6} {'rms, px':>8} {'CPU, ms':>8}",
     ]
     for row in rows:
         share = row["n_found"] / max(row["n_visible"], 1)
         rms = "-" if row["rms_px"] is None else f"{row['rms_px']:.4f}"
         lines.append(
-            f"{row['board'].split(':')[0]:>10} {row['case']:>9} {row['finder']:>8} {share:>8.1%} {row['n_boards']:>7} "
+            f"{_kind(row['board']):>14} {row['case']:>12} {row['finder']:>8} {share:>8.1%} {row['n_boards']:>7} "
             f"{row['n_wrong']:>6} {rms:>8} {row['median_ms']:>8.1f}"
         )
     return "\n".join(lines)
