@@ -172,7 +172,8 @@ def run_board_benchmark(*, images: int = 20, seed: int = 0) -> dict[str, Any]:
         rows = table["rows"] + circle_board_rows(images=images, seed=seed)
     finally:
         cv2.setNumThreads(own_threads)
-    return {**table, "rows": rows, "text": format_rows(rows, images, seed, table["machine"])}
+    notes = table["text"].removeprefix(format_rows(table["rows"], images, seed, table["machine"]))
+    return {**table, "rows": rows, "text": format_rows(rows, images, seed, table["machine"]) + notes}
 
 
 def circle_board_rows(
