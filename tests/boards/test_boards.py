@@ -317,3 +317,18 @@ def test_only_chessboards_have_marked_squares():
         replace(parse_board("chessboard:99x6:20mm"), discs=tuple((c, 1) for c in range(1, 66)))
     with pytest.raises(ValueError, match="Kalibr knows no marked chessboards"):
         format_kalibr_target(parse_board("chessboard:9x6:20mm:marked"))
+
+
+def test_circle_styles_are_read_and_written():
+    for spec in ("circles:11x9:30mm:large", "circles:11x9:hollow", "acircles:4x11:20mm:rings", "circles:10x10:30mm"):
+        assert format_board(parse_board(spec)) == spec
+    board = parse_board("circles:11x9:30mm:large")
+    assert board.allows_partial and not parse_board("circles:11x9:30mm:rings").allows_partial
+    places = board.object_points_m[list(board.marked_points), :2] / 0.03
+    assert np.allclose(places - places[0], [[0, 0], [2, 0], [0, 3]]) and np.allclose(places[0], [4, 2])
+    with pytest.raises(ValueError, match="at least 3 columns and 4 rows"):
+        parse_board("circles:9x3:30mm:large")
+    with pytest.raises(ValueError, match="kind circles"):
+        parse_board("acircles:4x11:20mm:hollow")
+    with pytest.raises(ValueError, match="plain discs alone"):
+        format_kalibr_target(board)

@@ -15,10 +15,12 @@ from binocal.boards import Board, load_board, parse_board
 from binocal.boards.measured import measured_box_m
 from binocal.printing.board_shapes import PrintStyle
 from binocal.printing.drawing import Disc, Page
+from binocal.printing.dxf import dxf_text
 from binocal.printing.paper import PAPERS, parse_paper, smallest_paper
 from binocal.printing.pdf import pdf_content
 from binocal.printing.png import png_content
 from binocal.printing.sheet import SheetOptions, sheet_size_mm
+from binocal.printing.svg import svg_text
 from binocal.simulation.layout import printed_extent_m
 
 TRUE_TO_MM = 0.01  # measured: at most .0013
@@ -313,3 +315,21 @@ def test_papers():
     for text in ("A9", "5x5mm", "10x10", "9000x100mm", "x"):
         with pytest.raises(ValueError, match="page"):
             parse_paper(text)
+
+
+def test_rings_are_printed_with_their_holes():
+    pdfium = pytest.importorskip("pypdfium2", reason="pypdfium2 rasterises PDF files; it is in the extra test")
+    board, page = small_page("circles:7x5:6mm:hollow")
+    png = cv2.imdecode(np.frombuffer(png_content(page, 300.0), np.uint8), cv2.IMREAD_GRAYSCALE)
+    pdf = (
+        pdfium.PdfDocument(pdf_content([page], "rings"))[0].render(scale=300 / 72, grayscale=True).to_numpy().squeeze()
+    )
+    for image in (png, pdf):
+        found = binocal.detect(cv2.GaussianBlur(image, (0, 0), 1.0), board)
+        assert (
+            found.is_seen.all() and np.abs((found.points_px + 0.5) * INCH / 300 - points_mm(board, page)).max() < 0.1
+        )  # pdfium stretches a page to whole pixels
+        grey = image[tuple(np.rint(found.points_px).astype(int).T[::-1])]
+        assert np.flatnonzero(grey > 128).tolist() == sorted(board.marked_points)
+    assert svg_text(page, "rings").count('fill="none" stroke="#000"') == 3
+    assert dxf_text(page).count("CIRCLE") == 35 + 3

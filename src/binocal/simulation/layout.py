@@ -10,7 +10,8 @@ needs. Conventions, each held against OpenCV or Kalibr by a test:
   within ``pitch_m``; black squares as wide as the gap at the tags' corners; ids grow to the right and upward from
   the bottom-left tag; tags upright as in the AprilTag project's own images. OpenCV's ``DICT_APRILTAG_36h11``
   holds them turned by 180° in 4.x and 5.0.
-- circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours.
+- circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours; three of them 1.4 times as large
+  or rings, or all of them rings, whose holes have half their diameter.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.boards.board import HOLE, LARGE
 from binocal.boards.marks import DISC_RADIUS
 from binocal.shapes import Float, Int
 
@@ -42,13 +44,18 @@ class CellPrint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscPrint:
-    """Black discs at (``step_x`` column + ``stagger`` (row mod 2), row), in pitches."""
+    """Black discs at (``step_x`` column + ``stagger`` (row mod 2), row), in pitches.
+
+    ``outer`` and ``hole`` are each disc's own radius and that of the white disc inside it, 0 where it is whole.
+    """
 
     columns: int
     rows: int
     step_x: float
     stagger: float
     radius: float
+    outer: Float[ndarray, "rows columns"]
+    hole: Float[ndarray, "rows columns"]
 
 
 def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
@@ -63,7 +70,13 @@ def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
     else:
         discs = disc_print(board)
         right = (board.columns - 1) * discs.step_x + (discs.stagger if board.rows > 1 else 0)
-        box = (-discs.radius, -discs.radius, right + discs.radius, board.rows - 1 + discs.radius)
+        largest = discs.outer
+        box = (
+            -largest[:, 0].max(),
+            -largest[0].max(),
+            right + largest[:, -1].max(),
+            board.rows - 1 + largest[-1].max(),
+        )
     return tuple(float(b) * board.pitch_m for b in box)  # type: ignore[return-value]
 
 
@@ -83,7 +96,19 @@ def disc_print(board: Board) -> DiscPrint:
     radius = 0.5 * board.circle_diameter_ratio * spacing
     if not 0 < radius < 0.5:  # acircles: half a pitch is also what the nearest-row look-up needs
         raise ValueError(f"circle_diameter_ratio {board.circle_diameter_ratio} must be in (0, {1 / spacing:.2f})")
-    return DiscPrint(board.columns, board.rows, 2.0 if is_staggered else 1.0, 1.0 if is_staggered else 0.0, radius)
+    outer = np.full((board.rows, board.columns), radius)
+    hole = np.full(outer.shape, HOLE * radius if board.circle_style == "rings" else 0.0)
+    marked = np.unravel_index(np.array(board.marked_points, int), outer.shape)
+    if board.circle_style == "large":
+        outer[marked] *= LARGE
+    elif board.circle_style == "hollow":
+        hole[marked] = HOLE * radius
+    if outer.max() >= 0.5:
+        raise ValueError(
+            f"circle_diameter_ratio {board.circle_diameter_ratio} leaves no room for circles {LARGE} times as large"
+        )
+    step, stagger = (2.0, 1.0) if is_staggered else (1.0, 0.0)
+    return DiscPrint(board.columns, board.rows, step, stagger, radius, outer, hole)
 
 
 def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bits: int = 2) -> CellPrint:
