@@ -291,6 +291,10 @@ EXPLANATIONS = {
         them makes it a third larger, and matches of a sharp with a blurred
         image are off by up to half a pixel, all in like directions: rotations come out wrong by tenths of a degree and more
         than is stated. Pairs are refused (of several: left out) from a ratio of 1.25, or 2.5 px in both.""",
+    "image-mirrored": """
+        Descriptors of a mirrored image match nothing but what is symmetrical, and a pose fits a cluster of those as well. Where
+        few points match, one image is mirrored and tried again: three times as many matches, and a hundred, say that it was.
+        The pair is refused (of several: left out). Where both images are mirrored, their sides seem exchanged.""",
     "images-already-rectified": """
         In rectified images matching points lie on equal rows. Where they do so to less than the noise that the best pose of the
         given rig leaves, the images were rectified by somebody, while the rig's file has the lenses of the raw images.""",

@@ -266,9 +266,9 @@ def source_of_images(left: str, right: str, given: StereoCalibration) -> Natural
     pairing = list_pairs(left, right)
     pairs = [StereoPair(pair.name, pair.left_path, pair.right_path) for pair in pairing.pairs]
     findings: tuple[Finding, ...] = ()
-    if pairing.ignored:
-        names = name_some(path.name for path, _ in pairing.ignored)
-        findings = (finding("dataset-frames-left-out", n_out=len(pairing.ignored), n_pairs=len(pairs), names=names),)
+    if pairing.left_out:
+        names = name_some(path.name for path in pairing.left_out)
+        findings = (finding("dataset-frames-left-out", n_out=len(pairing.left_out), n_pairs=len(pairs), names=names),)
     return _source_of(pairs, given, findings)
 
 
