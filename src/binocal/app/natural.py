@@ -18,6 +18,7 @@ from binocal.app.natural_drift import (
     drift_of,
     made_by_recalibrate,
     reference_document,
+    reference_values,
 )
 from binocal.app.pair_choice import choose_pairs
 from binocal.app.pair_matching import matches_of
@@ -275,6 +276,8 @@ def source_of_images(left: str, right: str, given: StereoCalibration) -> Natural
 def _source_of(pairs: Sequence[StereoPair], given: StereoCalibration, findings: tuple[Finding, ...]) -> NaturalSource:
     """Pairs of a rig that was given."""
     reference = given.extra.get(REFERENCE)
+    if reference is not None:
+        reference_values(reference)  # refused before anything is computed
     return NaturalSource(
         pairs, given.rig, given.covariance, reference, made=made_by_recalibrate(given), findings=findings
     )
