@@ -88,7 +88,7 @@ class RenderOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedImage:
-    """An image and the truth about it: ``corners_px`` in the board's order, NaN where outside the image.
+    """An image and the truth about it: ``corners_px`` in the board's order, NaN where outside the image, or not printed.
 
     For circles the truth is the projected centre, not the centroid of the ellipse.
     """
@@ -108,7 +108,8 @@ def render_image(
     light = render_light(camera, T_camera_board, board, options, rng)
     image = read_out(light, rng, noise_dn=options.noise_dn, gamma=options.gamma, bit_depth=options.bit_depth)
     points = board.object_points_m if options.shape is None else options.shape.points_m(board)
-    return RenderedImage(image, visible_px(camera, T_camera_board.apply(points)))
+    corners = visible_px(camera, T_camera_board.apply(points))
+    return RenderedImage(image, np.where(board.is_printed[:, None], corners, np.nan))
 
 
 def render_light(

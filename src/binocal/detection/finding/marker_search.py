@@ -12,6 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy import ndarray
 
+from binocal.detection.finding.crossings import (
+    better_lens,
+    count_visible,
+    from_level,
+    grow_known,
+    points_at,
+    steps_at,
+)
 from binocal.detection.finding.groups import MAX_TURN_RAD
 from binocal.detection.finding.marker_codes import (
     BLURS_CELLS,
@@ -21,6 +29,7 @@ from binocal.detection.finding.marker_codes import (
     code_templates,
     face_cells,
 )
+from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import MarkerGrid
 from binocal.detection.finding.search import LevelSetting, scaled_saddles
 from binocal.detection.finding.xcorners import SaddleImage, find_saddles
@@ -28,8 +37,6 @@ from binocal.kernels import images
 from binocal.kernels.marker_grids import (
     FieldLens,
     find_faces,
-    grow_lattice,
-    predict_each,
     predict_places,
     read_cells,
     vote_on_tags,
@@ -45,20 +52,15 @@ LEAST_SURE, LEAST_LIKELY = (
 READ, FOREIGN = 0.55, 0.3  # a face with the code that its place demands; with another one or none
 LEAST_MEDIAN = 0.4  # of a board's faces
 FIELDS_RAD = tuple(np.radians([0, 100, 140, 180]))
-FOLLOWED_RAD = tuple(np.radians([0, 70, 100, 130, 160, 190]))
-WELL_EXPECTED_PX = 0.5  # median distance of corners from where those around them put them
-LEAST_BETTER_EXPECTED = 1.2
 LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to none
 MOST_COMPARED = 64  # faces by which lens and blur are chosen
 ENOUGH_SHARE = 0.9  # of the corners that should be seen
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
 LEAST_CELL_PX = 0.85  # of a marker's code: below it chance reads as well
-INSIDE_PX = 6.0
 FEW_FACES = (
     4  # with fewer, corners farther away are tried as neighbours: seen very obliquely the nearest lie in one row
 )
 LEAST_KEPT = 0.7  # of the corners that markers predict; with fewer a note says so
-PROBE = 0.2  # of a face's side, about a corner, to see how large it is there
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
 
 
@@ -116,35 +118,24 @@ class MarkerSighting:
     @property
     def n_read(self) -> int:
         """Faces that bear the codes that their places demand."""
-        return int(np.count_nonzero(np.nan_to_num(self.likeness) >= READ))
+        return int(np.count_nonzero(self.likeness >= READ))
 
     def points_px(self, n_points: int) -> Float[ndarray, "n 2"]:
         """The corners in the board's order, NaN where not seen."""
-        points = np.full((n_points, 2), np.nan)
-        points[self.grid.points] = self.known_px
-        return points
+        return points_at(self.grid, self.known_px, n_points)
 
     def steps_px(self, n_points: int) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
         """A marker's face at each corner seen, in the board's order, pixels: its shorter side, and its least height."""
-        lines, side = self.grid.lines, self.grid.side
-        row, column = np.nonzero(np.isfinite(self.known_px[..., 0]))
-        at = np.stack([lines.x[column], lines.y[row]], axis=-1)
-        about = at[:, None] + PROBE * side * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-        reached = predict_places(lines, self.known_px, self.reading.lens, about)
-        across, along = ((reached[:, k] - reached[:, k + 1]) / (2 * PROBE) for k in (0, 2))
-        lengths = np.linalg.norm([across, along], axis=-1)
-        spacing, height = np.full(n_points, np.nan), np.full(n_points, np.nan)
-        index = self.grid.points[row, column]
-        spacing[index] = lengths.min(axis=0)
-        area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
-        height[index] = area / np.maximum(lengths.max(axis=0), 1e-9)
-        return spacing, height
+        return steps_at(self.grid, self.known_px, self.reading.lens, n_points)
 
-    def expected_px(self) -> Float[ndarray, "rows columns 2"]:
-        """Where the crossings should lie."""
-        lines = self.grid.lines
-        places = np.stack(np.meshgrid(lines.x, lines.y), axis=-1)
-        return predict_places(lines, self.known_px, self.reading.lens, places)
+    def find_inconsistent(
+        self, points_px: Float[ndarray, "n 2"], covariance_px2: Float[ndarray, "n 2 2"], step_px: Float[ndarray, "n"]
+    ) -> Bool[ndarray, "n"]:
+        """Which of the board's points, in its own order, lie elsewhere than their neighbours put them."""
+        is_blurred = self.reading.blur_cells >= BLURS_CELLS[-1]
+        return find_inconsistent(
+            self.grid, self.reading.lens, points_px, covariance_px2, step_px, is_blurred=is_blurred
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,9 +208,10 @@ def search_markers(
             _verify(image, sighting, first_id)
         sightings = _best(sightings)
         if sightings:
-            n_known = int(np.isfinite(sightings[0].known_px[..., 0]).sum())
+            n_known = int(np.count_nonzero(np.isfinite(sightings[0].known_px[..., 0])))
             if (
-                n_known >= ENOUGH_SHARE * _count_visible(sightings[0], image.shape)
+                n_known >= ENOUGH_SHARE * grids[0].points.size  # all that there are: the visible need not be counted
+                or n_known >= ENOUGH_SHARE * _n_visible(sightings[0], image.shape)
                 or n_known < (1 + LEAST_GAIN) * n_before
             ):
                 break
@@ -245,17 +237,9 @@ def _find_faces(
         members, is_bright = find_faces(*links)
         if len(members) >= FEW_FACES:
             break
-    quads = _from_level(corners.points_px, scale)[members]
+    quads = from_level(corners.points_px, scale)[members]
     is_large = _areas(quads) >= least_side_px**2
     return peaks, _Faces(quads[is_large], is_bright[is_large])
-
-
-def _from_level(points: ndarray, scale: float) -> ndarray:
-    return (points - (0.5 * scale - 0.5)) / scale
-
-
-def _to_level(points: ndarray, scale: float) -> ndarray:
-    return points * scale + (0.5 * scale - 0.5)
 
 
 def _read_first(
@@ -268,6 +252,8 @@ def _read_first(
 ) -> tuple[_Readings, ReadingWay | None, bool]:
     """The faces read in the way that reads most of them best; whether they are rather those of a mirror image."""
     best, best_score, mirrored_score = None, 0.0, 0.0
+    best_readings = _Readings(np.zeros((0, 4, 2)), np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, bool))
+    is_enough = False
     for is_inverted in (False, True):
         quads = faces.of(grids[0].is_dark == is_inverted)
         if len(quads) == 0:
@@ -285,17 +271,21 @@ def _read_first(
                 if score > best_score * (
                     LEAST_BETTER if best is not None and best.lens.f_px == 0 and lens.f_px else 1.0
                 ):
-                    best, best_score = ReadingWay(kind, lens, blur, is_inverted), score
+                    best, best_score, best_readings = ReadingWay(kind, lens, blur, is_inverted), score, readings
                     is_enough = _are_enough(readings.is_sure, area[largest])
                 if lens.f_px == 0 and blur == BLURS_CELLS[1] and not is_enough:
                     mirrored_score = max(mirrored_score, _mirrored_score(values, templates))
-            if is_enough and best is not None:
-                return _read_all(image, quads, best, first_id, n_ids), best, False
+            if is_enough:
+                break
+        if is_enough:
+            break
     if best is None:
-        return _Readings(np.zeros((0, 4, 2)), np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, bool)), None, False
+        return best_readings, None, False
     quads = faces.of(grids[0].is_dark == best.is_inverted)
-    is_mirrored = mirrored_score > 2 * best_score and mirrored_score >= 2 * SURE
-    return _read_all(image, quads, best, first_id, n_ids), best, is_mirrored
+    if len(quads) > MOST_COMPARED:
+        best_readings = _read_all(image, quads, best, first_id, n_ids)
+    is_mirrored = not is_enough and mirrored_score > 2 * best_score and mirrored_score >= 2 * SURE
+    return best_readings, best, is_mirrored
 
 
 def _lenses(kinds: Sequence[CodeKind], size_wh: tuple[int, int]) -> Iterator[tuple[CodeKind, FieldLens]]:
@@ -352,7 +342,7 @@ def _vote(readings: _Readings, way: ReadingWay, grids: Sequence[MarkerGrid], lea
         ]
         if len(of_grid.index) == 0:
             continue
-        corners = grid.corners()[of_grid.index]
+        corners = grid.corners[of_grid.index]
         group, agreeing, disagreeing = vote_on_tags(of_grid.quads_px, corners, way.lens, grid.lines.pitch)
         is_voter = (agreeing > disagreeing) | ((agreeing >= disagreeing) & of_grid.is_sure)
         best, members = 0.0, np.zeros(len(group), bool)
@@ -371,7 +361,7 @@ def _vote(readings: _Readings, way: ReadingWay, grids: Sequence[MarkerGrid], lea
 
 def _start(number: int, grid: MarkerGrid, way: ReadingWay, voters: _Readings) -> MarkerSighting:
     known = np.full((*grid.points.shape, 2), np.nan)
-    crossings = grid.crossings()
+    crossings = grid.crossings
     for k in np.argsort(voters.likeness, kind="stable"):
         column, row = crossings[voters.index[k]].T
         known[row, column] = voters.quads_px[k]
@@ -383,8 +373,8 @@ def _join(sighting: MarkerSighting, readings: _Readings) -> None:
     grid, way = sighting.grid, sighting.reading
     readings = readings[readings.index < len(grid.faces)]
     inner = grid.is_inner[readings.index] & (readings.likeness >= LIKELY)
-    crossings = grid.crossings()
-    corners = grid.corners()
+    crossings = grid.crossings
+    corners = grid.corners
     for _ in range(3):
         column, row = crossings[readings.index[inner]].reshape(-1, 2).T
         open_ = ~np.isfinite(sighting.known_px[row, column, 0]).reshape(-1, 4).all(axis=1)
@@ -415,36 +405,24 @@ def _join(sighting: MarkerSighting, readings: _Readings) -> None:
 
 
 def _grow(sighting: MarkerSighting, saddles: SaddleImage, scale: float, peaks: Float[ndarray, "k 2"]) -> None:
-    grid, way = sighting.grid, sighting.reading
-    sign = -grid.sign if way.is_inverted else grid.sign
-    known = _to_level(sighting.known_px, scale)
-    lens = way.lens.scaled(scale, 0.5 * scale - 0.5)
-    known, is_new = grow_lattice(saddles.smooth, grid.lines, sign, grid.free, known, peaks, lens)
-    sighting.known_px[is_new] = _from_level(known[is_new], scale)
+    way = sighting.reading
+    level = saddles, scale, peaks
+    sighting.known_px = grow_known(sighting.grid, sighting.known_px, way.lens, way.is_inverted, level)
 
 
 def _follow_lens(sighting: MarkerSighting, size_wh: tuple[int, int]) -> bool:
     """Takes the lens through which corners expect each other best, where without one they do not well; whether another one."""
-    way, lines = sighting.reading, sighting.grid.lines
-
-    def off_px(lens: FieldLens) -> float:
-        off = np.linalg.norm(predict_each(lines, sighting.known_px, lens) - sighting.known_px, axis=-1)
-        return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
-
-    least = off_px(way.lens)
-    if least < WELL_EXPECTED_PX:
+    best = better_lens(sighting.grid, sighting.known_px, sighting.reading.lens, size_wh)
+    if best is None:
         return False
-    best = min((FieldLens.of_field(size_wh, field_rad) for field_rad in FOLLOWED_RAD), key=off_px)
-    if off_px(best) >= least / LEAST_BETTER_EXPECTED:
-        return False
-    sighting.reading = replace(way, lens=best)
+    sighting.reading = replace(sighting.reading, lens=best)
     return True
 
 
 def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: int) -> None:
     """Reads every face where it should be; takes grown corners back whose faces all bear something else."""
     grid, way = sighting.grid, sighting.reading
-    crossings, corners = grid.crossings(), grid.corners()
+    crossings, corners = grid.crossings, grid.corners
     rows, columns = sighting.known_px.shape[:2]
     padded = np.full((rows + 2, columns + 2, 2), np.nan)
     padded[1:-1, 1:-1] = sighting.known_px
@@ -464,7 +442,7 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
         templates = code_templates(way.kind, first_id, len(grid.faces), way.blur_cells)
         rest = templates.residual(values)
         likeness[inside] = (rest * templates.turned[np.nonzero(inside)[0], 0]).sum(axis=1)
-    sighting.n_predicted = _count_crossings(crossings[np.nan_to_num(likeness) >= READ], rows, columns)
+    sighting.n_predicted = _count_crossings(crossings[likeness >= READ], rows, columns)
     likeness[~is_judged] = np.nan
     sighting.likeness = likeness
     known = likeness[np.isfinite(likeness) & is_known.all(axis=1)]
@@ -493,8 +471,6 @@ def _best(sightings: list[MarkerSighting]) -> list[MarkerSighting]:
     return sorted(held, key=lambda s: -s.n_read)
 
 
-def _count_visible(sighting: MarkerSighting, shape: tuple[int, ...]) -> int:
+def _n_visible(sighting: MarkerSighting, shape: tuple[int, ...]) -> int:
     """How many crossings should lie inside the image."""
-    expected = sighting.expected_px()
-    size_wh = np.array(shape[::-1])
-    return int(((expected > INSIDE_PX) & (expected < size_wh - 1 - INSIDE_PX)).all(axis=-1).sum())
+    return count_visible(sighting.grid, sighting.known_px, sighting.reading.lens, (shape[1], shape[0]))

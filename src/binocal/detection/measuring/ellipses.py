@@ -35,14 +35,20 @@ def measure_spots(
     angles_rad: Float[ndarray, "n"],
     *,
     is_dark: bool,
+    holes: Float[ndarray, "n"] | None = None,
 ) -> MeasuredSpots:
     """Spots of one polarity from their rough outlines, those of one image together; NaN where a start is NaN.
+
+    ``holes`` are the diameters of rings' holes over the rings' own, 0 of discs: the outer outlines are measured.
 
     Where the ellipse cannot be fitted (a radius below the blur's, a spot at the border) the centroid of the spot's light is
     taken, with its own, larger, covariance; but not where the fitted ellipse contradicts the image (covered, glare).
     """
     gap = GAP_SHARE * _gaps(centres_px, axes_px, angles_rad)
-    fits = fit_ellipses(grey, centres_px, axes_px, angles_rad, gap, np.full(len(gap), np.inf))
+    inward = np.full(len(gap), np.inf)
+    if holes is not None:
+        inward[holes > 0] = (GAP_SHARE * (1 - holes) * axes_px.min(axis=1))[holes > 0]
+    fits = fit_ellipses(grey, centres_px, axes_px, angles_rad, gap, inward)
     pooled = pool_corners(fits.centres, are_corners=False)
     is_open = ~np.isfinite(pooled.misfit) & np.isfinite(centres_px[:, 0])
     is_open |= np.isfinite(pooled.misfit) & ((fits.centres.contrast_dn > 0) != is_dark)

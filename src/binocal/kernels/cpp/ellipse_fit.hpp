@@ -8,8 +8,8 @@
 // The light falls on the print before the lens blurs both. To first order in g that is a pattern seen at x + s^2 g, for the mean of
 // (1 + g.y) f(y) under a Gaussian about x is (1 + g.x) F(x) + s^2 g.grad F(x): so s^2 g is added to the centre in the end.
 // Blur moves a curved edge inward by half its curvature times s^2: the half-axes are given without that.
-// Grey values at an end of the range are left out: what is clipped says nothing of the light's slope, and as if measured it pulls the
-// centre by half a pixel where paper saturates on one side.
+// Pixels that clip, by what the fit expects of them, are left out: what is clipped says nothing of the light's slope, and as if measured
+// it pulls the centre by half a pixel where paper saturates on one side.
 #pragma once
 
 #include "corner_fit.hpp"
@@ -28,8 +28,11 @@ constexpr double kLeastEllipseRadius = 1.8;  // px, of the smaller half-axis: a 
 constexpr float kLeastRelativeRadius = 0.05f;  // nearer to the centre the distance has no slope
 constexpr double kEllipseSlack = 0.35;  // px: pixels are gathered again when the outline has moved farther
 constexpr int kMaxEllipseEvaluations = 16;
+constexpr int kPixelsForCoarse = 240;  // from so many on, every other pixel is enough until the outline is nearly there
+constexpr double kNearlyThere_px = 0.2;
 constexpr double kMostEllipsePixels = 4e5;
 constexpr double kMostElongation = 12;
+constexpr double kClearOfNoise = 2.5;  // standard deviations: of a normal value so far off, 0.002 of one is clipped away
 
 // An ellipse to start from, and how far from its outline, px, nothing else is printed: outside and inside it.
 struct EllipseInput {
@@ -126,9 +129,11 @@ inline void evaluate(EllipseWorkspace& work, const double* p, EllipseEquations& 
     portable::multiply(work, out);
 }
 
-// Gathers the pixels between the ellipses `inward` inside and `outward` outside the outline; false where they are too few.
-template <typename Pixel>
-bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outward, double inward, double scale, EllipseWorkspace& work) {
+// Gathers the pixels between the ellipses `inward` inside and `outward` outside the outline for which keeps(u, v, value) holds, u and v
+// from the outline's centre, every other one where it is coarse; false where they are too few.
+template <typename Pixel, typename Keeps>
+bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outward, double inward, double scale, const Keeps& keeps,
+            bool is_coarse, EllipseWorkspace& work) {
     double major, minor, angle;
     outline.axes(major, minor, angle);
     const Ellipse outer = Ellipse::of_axes(outline.x, outline.y, major + outward, minor + outward, angle);
@@ -146,10 +151,11 @@ bool gather(const ImageView<Pixel>& image, const Ellipse& outline, double outwar
     float *u = work.u(), *v = work.v(), *value = work.value();
     int n = 0;
     auto take = [&](const Pixel* line, std::ptrdiff_t row, double from, double to) {
-        const auto first = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::ceil(from)));
+        auto first = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::ceil(from)));
+        if (is_coarse && (first + row) % 2) ++first;
         const auto last = std::min<std::ptrdiff_t>(image.width - 1, static_cast<std::ptrdiff_t>(std::floor(to)));
-        for (std::ptrdiff_t column = first; column <= last; ++column) {
-            if (std::is_integral_v<Pixel> && (line[column] <= image.bottom || line[column] >= image.top)) {
+        for (std::ptrdiff_t column = first; column <= last; column += is_coarse ? 2 : 1) {
+            if (!keeps(static_cast<double>(column) - outline.x, static_cast<double>(row) - outline.y, line[column])) {
                 ++patch.n_clipped;
                 continue;
             }
@@ -215,7 +221,7 @@ class EllipseFitter {
 
     EllipseResult fit() {
         EllipseResult result;
-        if (!begin() || !iterate() || !is_a_spot() || !describe(result))
+        if (!begin() || !iterate() || !leave_clipped_out() || !is_a_spot() || !describe(result))
             std::fill_n(reinterpret_cast<double*>(&result), kEllipseResultSize, std::numeric_limits<double>::quiet_NaN());
         return result;
     }
@@ -231,7 +237,27 @@ class EllipseFitter {
     // The band, as far as nothing else is printed in it.
     bool take(const Ellipse& ellipse, double blur) {
         const double wide = band(blur);
-        return gather(image_, ellipse, std::max(1.0, std::min(wide, input_.outward)), std::max(1.0, std::min(wide, input_.inward)), scale_, work_);
+        const double outward = std::max(1.0, std::min(wide, input_.outward)), inward = std::max(1.0, std::min(wide, input_.inward));
+        if (!std::is_integral_v<Pixel>) return gather(image_, ellipse, outward, inward, scale_, [](double, double, Pixel) { return true; }, is_coarse_, work_);
+        if (!knows_noise_) {
+            auto keeps = [&](double, double, Pixel value) { return value > image_.bottom && value < image_.top; };
+            return gather(image_, ellipse, outward, inward, scale_, keeps, is_coarse_, work_);
+        }
+        // Which pixels are left out does not depend on their noise: what the fit so far expects of them does not come near the range's ends.
+        const double away = kClearOfNoise * std::max(std::sqrt(cost_) / scale_, kLeastNoise_dn);
+        auto keeps = [&](double u, double v, Pixel) {
+            const double grey = expected(u, v) / scale_;
+            return grey > image_.bottom + away && grey < image_.top - away;
+        };
+        return gather(image_, ellipse, outward, inward, scale_, keeps, is_coarse_, work_);
+    }
+
+    // The grey value, in the fit's unit, at u, v from the centre.
+    double expected(double u, double v) const {
+        const Ellipse e = outline(p_);
+        const double wx = e.xx * u + e.xy * v, wy = e.xy * u + e.yy * v, q = u * wx + v * wy;
+        const double d = (q - std::sqrt(std::max(q, 0.0))) / std::max(std::hypot(wx, wy), 1e-9);
+        return (p_[kLevel] + p_[kHalf] * std::erf(d * std::exp(-p_[kBlur]) * 0.70710678)) * (1 + p_[kLightX] * u + p_[kLightY] * v);
     }
 
     bool begin() {
@@ -244,6 +270,8 @@ class EllipseFitter {
         if (!(input_.x >= reach && input_.y >= reach && input_.x <= image_.width - 1 - reach && input_.y <= image_.height - 1 - reach)) return false;
         const Ellipse ellipse = Ellipse::of_axes(input_.x, input_.y, input_.major, input_.minor, input_.angle);
         work_.patch.unit = 1 / (input_.major * input_.minor);
+        const double length = 3.14159265358979 * (input_.major + input_.minor);
+        is_coarse_ = length * std::min(2 * kLeastBand, std::min(kLeastBand, input_.outward) + std::min(kLeastBand, input_.inward)) > kPixelsForCoarse;
         if (!take(ellipse, 1.0) || !levels(ellipse)) return false;
         const double unit = work_.patch.unit;
         const double first[kEllipseParameters] = {ellipse.x, ellipse.y, ellipse.xx / unit, ellipse.xy / unit, ellipse.yy / unit,
@@ -321,6 +349,13 @@ class EllipseFitter {
                                     (step.moved < kLastStepAtMost && step.moved < kLastStepShrinks * last_moved_ && step.decrement < noise2));
     }
 
+    double change_of_axes(const Step& step) const {
+        double major, minor, angle, old_major, old_minor;
+        outline(step.next).axes(major, minor, angle);
+        outline(p_).axes(old_major, old_minor, angle);
+        return std::max(std::fabs(major - old_major), std::fabs(minor - old_minor));
+    }
+
     void end(const Step& step) {
         float* residual = work_.column(kEllipseParameters);
         for (int k = 0; k < kEllipseParameters; ++k) {
@@ -340,6 +375,13 @@ class EllipseFitter {
                 continue;
             }
             if (std::hypot(step.next[kCentreX] - input_.x, step.next[kCentreY] - input_.y) > 0.4 * input_.minor + 1) return false;
+            if (is_coarse_ && (step.shrink == 1 && step.moved < kNearlyThere_px && change_of_axes(step) < kNearlyThere_px)) {
+                std::copy(step.next, step.next + kEllipseParameters, p_);
+                is_coarse_ = false, is_linearized_here_ = true, last_moved_ = step.moved;
+                if (!take(outline(p_), std::exp(p_[kBlur]))) return false;
+                cost_ = evaluate_at(p_, current_);
+                continue;
+            }
             if (is_last(step)) {
                 if (!is_linearized_here_) evaluate_at(p_, current_);
                 end(step);
@@ -362,6 +404,16 @@ class EllipseFitter {
             if (!follow()) return false;
         }
         return false;
+    }
+
+    // Once more where values are clipped: left out by what they are, those that noise kept from the top pull the level and the slope down.
+    bool leave_clipped_out() {
+        if (!work_.patch.n_clipped) return true;
+        knows_noise_ = true, n_evaluations_ = std::min(n_evaluations_, 4);
+        if (!take(outline(p_), std::exp(p_[kBlur]))) return false;
+        cost_ = evaluate_at(p_, current_);
+        last_moved_ = std::numeric_limits<double>::infinity(), damping_ = 0;
+        return iterate();
     }
 
     bool damp() { return (damping_ = std::max(10 * damping_, 1e-3)) < 1e6; }
@@ -444,7 +496,7 @@ class EllipseFitter {
     EllipseEquations current_{}, trial_{};
     double cost_ = 0, damping_ = 0;
     double last_moved_ = std::numeric_limits<double>::infinity();
-    bool is_linearized_here_ = true;
+    bool is_linearized_here_ = true, knows_noise_ = false, is_coarse_ = false;
     int n_evaluations_ = 0;
 };
 
