@@ -131,8 +131,8 @@ def what_is_wrong(pair: StereoPair, seen: PairMatches) -> Finding | None:
         if n_features < MIN_FEATURES:
             return finding("image-shows-nothing", image=path, n_features=n_features, n_needed=MIN_FEATURES)
     if seen.n_mirrored > max(MOST_MIRRORED_TIMES * len(seen.matches), MOST_MIRRORED):
-        figures = {"n_mirrored": seen.n_mirrored, "n_matches": len(seen.matches)}
-        return finding("image-mirrored", left=paths[0], right=paths[1], **figures)
+        counts = seen.n_mirrored, len(seen.matches)
+        return finding("image-mirrored", left=paths[0], right=paths[1], n_mirrored=counts[0], n_matches=counts[1])
     spread = seen.edge_spread_px
     worse = int(spread[1] > spread[0])
     if spread[worse] > MOST_SPREAD_RATIO * spread[1 - worse] or min(spread) > MOST_SPREAD_PX:
