@@ -323,9 +323,10 @@ EXPLANATIONS = {
     "pairs-contradict": """
         Every pair of a rig shows the same pose. Where half of the pairs or more do not fit with the others, nothing tells which
         are right. Where each pair fits the cameras with a pose of its own, and no pose fits all (own poses would take away 80 % of
-        the squared residuals, and 0.3 px), or where two and more pairs that do not fit with the others agree on another turn, the rig
-        was knocked on the way, it flexes, its cameras do not expose together, or its file is of other cameras. `recalibrate` and `check` refuse such pairs alike:
-        any one pose would be a mean of several. `binocal check --stream` says when the rig turned, and by how much.""",
+        the squared residuals, and 0.3 px), or where two and more pairs that do not fit with the others agree on another turn,
+        the rig was knocked on the way, it flexes, its cameras do not expose together, or its file is of other cameras.
+        `recalibrate` and `check` refuse such pairs alike: any one pose would be a mean of several. `binocal check --stream`
+        says when the rig turned, and by how much.""",
     "pairs-left-out": """
         A pair is left out where an image shows nothing or is blurred, where less than half as many of its matches fit as of all
         pairs (its images are not of one moment, or the rig was knocked before or after it), or where its points lie behind the cameras
