@@ -305,6 +305,10 @@ EXPLANATIONS = {
         them makes it a third larger, and matches of a sharp with a blurred
         image are off by up to half a pixel, all in like directions: rotations come out wrong by tenths of a degree and more
         than is stated. Pairs are refused (of several: left out) from a ratio of 1.25, or 2.5 px in both.""",
+    "image-mirrored": """
+        Descriptors of a mirrored image match nothing but what is symmetrical, and a pose fits a cluster of those as well. Where
+        few points match, one image is mirrored and tried again: three times as many matches, and a hundred, say that it was.
+        The pair is refused (of several: left out). Where both images are mirrored, their sides seem exchanged.""",
     "images-already-rectified": """
         In rectified images matching points lie on equal rows. Where they do so to less than the noise that the best pose of the
         given rig leaves, the images were rectified by somebody, while the rig's file has the lenses of the raw images.""",
@@ -333,9 +337,10 @@ EXPLANATIONS = {
     "pairs-contradict": """
         Every pair of a rig shows the same pose. Where half of the pairs or more do not fit with the others, nothing tells which
         are right. Where each pair fits the cameras with a pose of its own, and no pose fits all (own poses would take away 80 % of
-        the squared residuals, and 0.3 px), or where two and more pairs that do not fit with the others agree on another turn, the rig
-        was knocked on the way, it flexes, or its cameras do not expose together. `recalibrate` and `check` refuse such pairs alike:
-        any one pose would be a mean of several. `binocal check --stream` says when the rig turned, and by how much.""",
+        the squared residuals, and 0.3 px), or where two and more pairs that do not fit with the others agree on another turn,
+        the rig was knocked on the way, it flexes, its cameras do not expose together, or its file is of other cameras.
+        `recalibrate` and `check` refuse such pairs alike: any one pose would be a mean of several. `binocal check --stream`
+        says when the rig turned, and by how much.""",
     "pairs-left-out": """
         A pair is left out where an image shows nothing or is blurred, where less than half as many of its matches fit as of all
         pairs (its images are not of one moment, or the rig was knocked before or after it), or where its points lie behind the cameras

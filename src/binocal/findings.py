@@ -133,6 +133,12 @@ _KINDS = (
         "focus both cameras alike, hold the rig still, or expose for a shorter time", DegenerateGeometryError,
     ),
     FindingKind(
+        "image-mirrored", _R, "One image of a pair is mirrored against the other",
+        "{right} is mirrored against {left}: {n_mirrored} points match where one of them is mirrored back, {n_matches} as they are; "
+        "{remedy}.",
+        "give both images as the cameras took them, neither flipped nor transposed", DegenerateGeometryError,
+    ),
+    FindingKind(
         "images-already-rectified", _R, "The images are rectified already",
         "matching points lie on equal {lines} ({apart_px:.2f} px apart, median), where raw images of this rig would have them "
         "{by_rig_px:.1f} px off: the images are rectified and the rig's file is of the raw ones, or of other cameras; {remedy}.",

@@ -15,6 +15,7 @@ from binocal.datasets.naming import Naming, find_naming, natural_key
 from binocal.errors import DataError
 
 IMAGE_SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".pgm", ".ppm", ".pnm"))
+_NO_IMAGE = "is not an image (by its suffix)"
 _COPY = re.compile(r"^(?P<original>.+?)(?:\s*[-_ ]?\s*copy(?:\s*\(?\d+\)?)?|\s*\(\d+\))$", re.IGNORECASE)
 
 
@@ -33,6 +34,11 @@ class Pairing:
 
     pairs: tuple[ImagePair, ...]
     ignored: tuple[tuple[Path, str], ...] = ()
+
+    @property
+    def left_out(self) -> tuple[Path, ...]:
+        """The images among the ignored files."""
+        return tuple(path for path, reason in self.ignored if reason != _NO_IMAGE)
 
 
 def list_pairs(
@@ -106,7 +112,7 @@ def _list_images(
         if path.suffix.lower() in IMAGE_SUFFIXES or (is_named and not path.is_dir()):
             images.append(path)
         elif not path.is_dir():
-            ignored[path] = "is not an image (by its suffix)"
+            ignored[path] = _NO_IMAGE
     present = {(path.parent, path.stem.lower()) for path in images}
     for path in list(images):
         copy = _COPY.match(path.stem)
