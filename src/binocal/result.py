@@ -15,6 +15,7 @@ from binocal.cameras import StereoRig
 from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.evidence.pixel_locking import RigLocking
+from binocal.evidence.right_poses import MOST_OFF_BALANCE, imbalance_of_deviations
 from binocal.findings import Finding, Severity
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
@@ -267,6 +268,7 @@ class StereoCalibration:
         }
         used = used.reorder("left", orders["left"]).reorder("right", orders["right"])
         self._check_residuals(self._unlocked(used))
+        self._check_right_poses(used)
         evidence = Evidence(used, self.T_left_board, self.misfit_px or 0.0, self.board_shape, self.T_right_board)
         return replace(self, evidence=evidence)
 
@@ -327,6 +329,26 @@ class StereoCalibration:
                         f"{_NOT_THESE}: {side} view {view.name} is {found:.4g} px from its prediction (RMS), "
                         f"not {stated:.4g} px."
                     )
+
+    def _check_right_poses(self, used: Detections) -> None:
+        """Raises DataError: R and T are not what the right poses of views taken apart deviate from: residuals do not tell that.
+
+        A prior of R and T pulls them away from the balance, by how much its file does not say.
+        """
+        options = self.provenance.get("options")
+        has_prior = isinstance(options, Mapping) and "prior" in options
+        if self.T_right_board is None or self.T_left_board is None or has_prior:
+            return
+        both = np.flatnonzero(used.left_is_seen.any(axis=1) & used.right_is_seen.any(axis=1))
+        left, right = (SE3(T.R[both], T.t[both]) for T in (self.T_left_board, self.T_right_board))
+        points = used.object_points_m if self.board_shape is None else self.board_shape.points_m
+        off = imbalance_of_deviations(self.rig.T_right_left, left, right, points.mean(axis=0))
+        if off > MOST_OFF_BALANCE:
+            raise DataError(
+                "the rig's R and T are not those of the calibration: the right poses of its views deviate from them on average by "
+                f"{off:.1f} standard errors, where a calibration leaves below {MOST_OFF_BALANCE:g}. The file was changed after "
+                "it was written; calibrate anew from the corners."
+            )
 
     @property
     def euler_sigma_rad(self) -> tuple[float, float, float]:
