@@ -67,6 +67,10 @@ EXPLANATIONS = {
     "residuals-checked": """
         Residuals of neighbouring corners of an image should be independent. Real ones are alike to some degree; where the
         standard deviations were widened for what views have in common, that is counted.""",
+    "corners-not-of-rig": """
+        A report looks beside the rig's file for the corners that it was made from, and computes from them what the file says of
+        its views. A file with the same views in which the figures differ means that one of the two was changed afterwards:
+        calibrated anew without writing the other, or edited by hand. Which one, the figures cannot tell.""",
     "rig-does-not-fit": """
         Each view's board is fitted to both images under the rig, and to each image alone. A rig that is merely less certain
         than it says leaves nearly the same; three times as much, beyond what the pair left when it was calibrated, is

@@ -655,6 +655,11 @@ _KINDS = (
         "take more views, so that what they have in common shows, or give the corners' cross-covariances",
     ),
     FindingKind(
+        "corners-not-of-rig", _W, "The corners beside the rig's file are not those that it was made from",
+        "{path} holds the rig's views by name, but was not used: {why}; {remedy}.",
+        "if the rig's file was changed by hand, take it as it was written; else name its own corners with --evidence, or calibrate anew",
+    ),
+    FindingKind(
         "rig-does-not-fit", _W, "The rig does not fit new images at all",
         "left and right corners miss each other under this rig by {pair_px:.2g} px (median), where each camera alone leaves {alone_px:.2g} "
         "px: {what}; {remedy}.",
