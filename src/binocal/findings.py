@@ -666,6 +666,13 @@ _KINDS = (
         "calibrate anew; where that does not last, look for what is loose",
     ),
     FindingKind(
+        "rows-off", _W, "Rows of new images are off, and nothing says how well the rig was known",
+        "rectified rows are off by {common_px:.2g} px in all views alike (RMS; by {rest_px:.2g} px otherwise; p = {p_value:.1g}), and the "
+        "rig states no standard deviations that would tell whether it was as bad before: a camera turned, or the calibration was poor; "
+        "{remedy}.",
+        "calibrate anew, or evaluate the rig.json of the calibration",
+    ),
+    FindingKind(
         "rig-disagrees", _W, "New images do not agree with the rig",
         "the images do not agree with the rig as its standard deviations allow ({difference_sigma:.1f} of them, RMS over {n_directions} "
         "directions; p = {p_value:.1g}): {what}; {remedy}.",

@@ -98,10 +98,27 @@ def test_a_rig_without_standard_deviations_is_undecided(tmp_path, calibration, i
     path = tmp_path / "bare.json"
     rig_json.write_rig(path, calibration.rig)
     assert main(["evaluate", str(path), *EVALUATE, "--json"]) == 0
-    assert document_of(capsys)["agreement"] is None
+    document = document_of(capsys)
+    assert document["agreement"] is None and document["common_rows"]["common_px"] < 0.1 and document["findings"] == []
     assert main(["evaluate", str(path), *EVALUATE, "--require", "depth 1% at 1m", "--require", "row 0.5px"]) == 4
     text = capsys.readouterr().out
     assert "states no standard deviations" in text and "Pass     row 0.5px" in text
+    assert "Agreement: only by rows, without the rig's standard deviations: off by 0.0" in text
+
+
+def test_rows_tell_of_a_turn_where_the_rig_states_no_standard_deviations(
+    tmp_path, calibration, images, monkeypatch, capsys
+):
+    T = calibration.rig.T_right_left
+    turned = replace(calibration.rig, T_right_left=SE3(so3.exp(np.radians([0.05, 0, 0])) @ T.R, T.t))
+    path = tmp_path / "bare.json"
+    rig_json.write_rig(path, turned)
+    assert main(["evaluate", str(path), *EVALUATE, "--json"]) == 4
+    (found,) = document_of(capsys)["findings"]
+    assert found["code"] == "rows-off" and found["figures"]["common_px"] == pytest.approx(1.4, abs=0.1)
+    monkeypatch.setattr(evaluating, "find_corners", lambda *given, **o: FoundCorners(seen(3, 1), (), (), (), {}))
+    assert main(["evaluate", str(path), *EVALUATE]) == 0
+    assert "Agreement: cannot be judged: the rig states no standard deviations" in capsys.readouterr().out
 
 
 def test_the_truth_judges_exactly(tmp_path, calibration, capsys):

@@ -17,6 +17,7 @@ from binocal.evidence import Detections
 from binocal.findings import Finding, finding, refusal
 from binocal.formats import rig_json
 from binocal.metrics import image, pose
+from binocal.metrics.common_rows import CommonRows, common_rows
 from binocal.metrics.held_out import Criterion, criteria_on_exact_views, exact_views, is_inside
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.requirements.agreement import Agreement
@@ -62,11 +63,14 @@ class ImageEvaluation:
     """The corners, in the order that the rig gave them."""
     agreement: Agreement | None = None
     """The images against the rig's own standard deviations; None where it states none."""
+    common_rows: CommonRows | None = None
+    """The row error that the views share; None where too few views tell it."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What the comparison with the rig has to say."""
-        found = None if self.agreement is None else self.agreement.finding
+        """What the comparison with the rig has to say; of a rig without standard deviations, what its rows have."""
+        said = self.agreement or self.common_rows
+        found = None if said is None else said.finding
         return () if found is None else (found,)
 
 
@@ -192,10 +196,11 @@ def _evaluate_detections(
         kept = np.setdiff1d(np.arange(detections.n_views), of_two_moments)
         detections, T_left_board = detections.select(kept), T_left_board[kept]
         pixel_error = image.pixel_error(rig, detections, T_left_board)
+    row_error = shared = None
     try:
         row_error = image.rectified_row_error(rig, detections)
+        shared = common_rows(rig, detections)
     except CalibrationError as error:
-        row_error = None
         notes.append(f"no row error: {error}")
     lengths = image.length_error(rig, detections, side_m=side_m)
     agreement = None
@@ -216,6 +221,7 @@ def _evaluate_detections(
         tuple(notes),
         detections,
         agreement,
+        shared,
     )
 
 
