@@ -54,7 +54,9 @@ def find_corners(
             preparation=preparation,
             least_pairs=least_pairs,
         )
-    return FoundCorners(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
+    return FoundCorners(
+        found.detections, tuple(found.rejected), ignored, (*pairing.notes, *found.notes), found.input_sha256
+    )
 
 
 def detect_corners(
