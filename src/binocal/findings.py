@@ -660,6 +660,12 @@ _KINDS = (
         "if the rig's file was changed by hand, take it as it was written; else name its own corners with --evidence, or calibrate anew",
     ),
     FindingKind(
+        "rig-file-changed", _W, "The rig's file was changed after the calibration",
+        "the rig's R and T are not those of the calibration: the right poses of its views deviate from them on average by "
+        "{standard_errors:.1f} standard errors, where a calibration leaves below 1: the file was changed after it was written; {remedy}.",
+        "take the file as it was written, or calibrate anew from the corners",
+    ),
+    FindingKind(
         "rig-does-not-fit", _W, "The rig does not fit new images at all",
         "left and right corners miss each other under this rig by {pair_px:.2g} px (median), where each camera alone leaves {alone_px:.2g} "
         "px: {what}; {remedy}.",

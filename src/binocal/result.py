@@ -16,7 +16,7 @@ from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.evidence.pixel_locking import RigLocking
 from binocal.evidence.right_poses import MOST_OFF_BALANCE, imbalance_of_deviations
-from binocal.findings import Finding, Severity
+from binocal.findings import Finding, Severity, finding
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
 from binocal.uncertainty import Covariance, DepthSigma, MeanBoardPose, common_field, depth_sigma
@@ -330,25 +330,26 @@ class StereoCalibration:
                         f"not {stated:.4g} px."
                     )
 
-    def _check_right_poses(self, used: Detections) -> None:
-        """Raises DataError: R and T are not what the right poses of views taken apart deviate from: residuals do not tell that.
+    def pose_imbalance(self, centre_m: Float[ndarray, "3"]) -> float:
+        """By how many standard errors R and T miss what the views' own right poses deviate from: more than 1 after a change by hand.
 
-        A prior of R and T pulls them away from the balance, by how much its file does not say.
+        ``centre_m`` is the board's. 0 where the exposures were together, and where a prior of R and T pulled them away. See
+        :mod:`binocal.evidence.right_poses`.
         """
         options = self.provenance.get("options")
         has_prior = isinstance(options, Mapping) and "prior" in options
         if self.T_right_board is None or self.T_left_board is None or has_prior:
-            return
-        both = np.flatnonzero(used.left_is_seen.any(axis=1) & used.right_is_seen.any(axis=1))
+            return 0.0
+        both = [i for i, v in enumerate(self.views) if np.isfinite(v.left_rms_px) and np.isfinite(v.right_rms_px)]
         left, right = (SE3(T.R[both], T.t[both]) for T in (self.T_left_board, self.T_right_board))
+        return imbalance_of_deviations(self.rig.T_right_left, left, right, centre_m)
+
+    def _check_right_poses(self, used: Detections) -> None:
+        """Raises DataError: R and T were changed where the views' right poses are their own: residuals do not tell that."""
         points = used.object_points_m if self.board_shape is None else self.board_shape.points_m
-        off = imbalance_of_deviations(self.rig.T_right_left, left, right, points.mean(axis=0))
+        off = self.pose_imbalance(points.mean(axis=0))
         if off > MOST_OFF_BALANCE:
-            raise DataError(
-                "the rig's R and T are not those of the calibration: the right poses of its views deviate from them on average by "
-                f"{off:.1f} standard errors, where a calibration leaves below {MOST_OFF_BALANCE:g}. The file was changed after "
-                "it was written; calibrate anew from the corners."
-            )
+            raise DataError(finding("rig-file-changed", standard_errors=off).text)
 
     @property
     def euler_sigma_rad(self) -> tuple[float, float, float]:

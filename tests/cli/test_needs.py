@@ -121,6 +121,22 @@ def test_rows_tell_of_a_turn_where_the_rig_states_no_standard_deviations(
     assert "Agreement: cannot be judged: the rig states no standard deviations" in capsys.readouterr().out
 
 
+def test_a_rig_that_was_changed_by_hand_is_named_though_its_residuals_fit(tmp_path, calibration, images, capsys):
+    made = replace(calibration, provenance={**calibration.provenance, "board": SPEC})
+    T, left = made.rig.T_right_left, made.T_left_board
+    rng = np.random.default_rng(0)
+    own = (T @ left).R, (T @ left).t + rng.normal(0, 1e-4, left.t.shape)
+    own = SE3(own[0] @ so3.exp(rng.normal(0, 1e-4, left.t.shape)), own[1])
+    apart = replace(made, evidence=None, T_left_board=left, T_right_board=own, board_shape=None)
+    assert evaluating._changed_by_hand(replace(made, T_right_board=None)) is None  # taken together
+    shifted = replace(apart, rig=replace(apart.rig, T_right_left=SE3(T.R, T.t + [0, 0, 2e-3])))
+    found = evaluating._changed_by_hand(shifted)
+    assert found.code == "rig-file-changed" and found.figures["standard_errors"] > 10
+    assert evaluating._changed_by_hand(replace(shifted, provenance={"board": "a wall"})) is None
+    assert main(["evaluate", written(tmp_path, shifted), *EVALUATE, "--json"]) == 4
+    assert "rig-file-changed" in [one["code"] for one in document_of(capsys)["findings"]]
+
+
 def test_the_truth_judges_exactly(tmp_path, calibration, capsys):
     truth = tmp_path / "truth.json"
     names = tuple(view.name for view in calibration.views)
