@@ -13,7 +13,8 @@ from binocal.boards import parse_board
 from binocal.cli import main
 from binocal.cli.exits import one_line
 from binocal.cli.grouping import group_lines
-from binocal.errors import OutputError
+from binocal.errors import FormatError, OutputError
+from binocal.formats.json_document import load_document
 from binocal.threads import set_threads
 
 
@@ -41,6 +42,31 @@ def test_a_folder_that_takes_no_new_files_ends_in_a_line(tmp_path, monkeypatch):
     monkeypatch.setattr(output.os, "mkdir", refuse)
     with pytest.raises(OutputError, match="takes no new files"), output._part_folder(tmp_path / "new"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--board", ""], "--board: nothing is given"),
+        (["--left="], "--left: nothing is given"),
+        (["--output", "made/"], "--output: made/ names a folder; name a file, such as made/rig.json"),
+        (["--evidence=made/"], "--evidence: made/ names a folder"),
+        ([""], "an argument is empty"),
+        (["--board", "chessboard:9x6:nanmm"], "board 'chessboard:9x6:nanmm': 'nanmm' is not a length"),
+    ],
+)
+def test_what_an_option_cannot_mean_is_named(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", *images(tmp_path), *arguments]) == 2
+    assert said in one_line(capsys.readouterr().err)
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_key_that_stands_twice_is_refused(tmp_path):
+    path = tmp_path / "rig.json"
+    path.write_text('{"schema": "binocal.rig/1", "cameras": {"left": 1, "left": 2}}')
+    with pytest.raises(FormatError, match='holds the key "left" twice'):
+        load_document(path, "binocal.rig/1")
 
 
 @pytest.mark.parametrize("value", ["99999999999999999999999", "0", "-3"])

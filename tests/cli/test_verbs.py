@@ -317,7 +317,7 @@ def test_an_earlier_rig_is_a_prior_and_parts_of_it_are_held(fakes, capsys):
     ("arguments", "code", "words"),
     [
         (["--hold", "left"], 2, "name the prior with --prior"),
-        (["--prior", "earlier.json", "--hold", ""], 2, "empty name"),
+        (["--prior", "earlier.json", "--hold", ""], 2, "nothing is given"),
         (["--prior", "none.json"], 3, "none.json: is missing (no such file)"),
         (["--prior", "earlier.json", "--hold", "nose"], 2, "no 'nose' to hold"),
         (["--prior", "earlier.json", "--model", "fisheye4"], 2, "leave out --model"),

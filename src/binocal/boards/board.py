@@ -198,7 +198,7 @@ def parse_board(spec: str) -> Board:
     most = {"charuco": 5, "aprilgrid": 5}.get(kind, 2)
     if len(fields) > most:
         raise ValueError(f"board {_shown(spec)!r} has too many fields; examples: {_EXAMPLES}")
-    pitch_m, is_metric = parse_length(fields[1]) if len(fields) > 1 else (1.0, False)
+    pitch_m, is_metric = _length_of(spec, fields[1]) if len(fields) > 1 else (1.0, False)
     scale = 1.0 if is_metric else pitch_m
     pitch_m = pitch_m if is_metric else 1.0
     if kind == "charuco":
@@ -206,7 +206,7 @@ def parse_board(spec: str) -> Board:
             raise ValueError(
                 f"board {_shown(spec)!r} needs square, marker and dictionary: charuco:11x8:30mm:22mm:DICT_5X5_50"
             )
-        marker_m, marker_is_metric = parse_length(fields[2])
+        marker_m, marker_is_metric = _length_of(spec, fields[2])
         if marker_is_metric != is_metric:
             raise ValueError(f"board {_shown(spec)!r}: give both lengths a unit, or neither")
         if not re.fullmatch(r"DICT_\w+", fields[3]):
@@ -229,6 +229,14 @@ def parse_board(spec: str) -> Board:
             kind, columns, rows, pitch_m, is_metric, dictionary=family, tag_gap_ratio=gap, first_tag_id=first_id
         )
     return Board(kind, columns, rows, pitch_m, is_metric)  # type: ignore[arg-type]
+
+
+def _length_of(spec: str, text: str) -> tuple[float, bool]:
+    """As :func:`parse_length`; the error names the board."""
+    try:
+        return parse_length(text)
+    except ValueError as error:
+        raise ValueError(f"board {_shown(spec)!r}: {error}") from None
 
 
 def _parse_gap(text: str) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 from binocal.cli.exits import FAILED, FINE, INTERRUPT_TEXT, INTERRUPTED, UNUSABLE_INPUT, USAGE, one_line
 from binocal.cli.grouping import group_lines
 from binocal.cli.streams import discard, finish_stdout, print_document, say
-from binocal.cli.usage import usage_message
+from binocal.cli.usage import check_texts, usage_message
 from binocal.errors import (
     BinocalError,
     CancelledError,
@@ -81,6 +81,8 @@ def _command() -> Any:
 
 def _run(arguments: list[str]) -> Any:
     command = _command()
+    if arguments:
+        check_texts(command.commands.get(arguments[0]), arguments[1:])
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         # NumPy's own, of numbers beyond a double's range: what follows from those is refused by name

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 import re
+from collections.abc import Sequence
 from typing import Any
+
+import typer
 
 from binocal.input_file import exists
 
@@ -22,6 +27,29 @@ def usage_message(error: Any) -> str:
     if extra := re.match(r"Got unexpected extra arguments? ?(?:\(s\))? ?\((?P<all>.*)\)$", message, re.DOTALL):
         message = _about_extra(extra["all"])
     return message
+
+
+def check_texts(verb: Any, arguments: Sequence[str]) -> None:
+    """Refuse what no option can mean and what paths would hide: empty texts, and a file's name that ends like a folder's.
+
+    Args:
+        verb: The command as Typer made it, or None where there is none of that name.
+        arguments: As typed, after the verb.
+
+    Raises:
+        typer.BadParameter: The option is named.
+    """
+    options = {name: option for option in getattr(verb, "params", ()) for name in option.opts}
+    for before, text in itertools.pairwise(["", *arguments]):
+        name, equals, value = text.partition("=")
+        if not (equals and name in options):
+            name, value = before, text
+        if value == "":
+            raise typer.BadParameter(f"{name}: nothing is given" if name in options else "an argument is empty")
+        is_file = "." in (getattr(options.get(name), "metavar", None) or "")
+        if is_file and value.endswith(("/", os.sep)):
+            example = os.path.join(value, options[name].metavar.lower())
+            raise typer.BadParameter(f"{name}: {value} names a folder; name a file, such as {example}")
 
 
 def quoted(value: object) -> str:

@@ -222,6 +222,16 @@ def parse_whole(digits: str) -> int:
     return int(digits)
 
 
+def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; of a key that stands twice, nobody knows which value is meant."""
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))
+        raise ValueError(f"one object holds the key {shown(twice)} twice")
+    return value
+
+
 def load_document(path: str | Path, schema: str) -> Node:
     """The whole of a file of that schema.
 
@@ -231,7 +241,7 @@ def load_document(path: str | Path, schema: str) -> Node:
     path = Path(path)
     text = read_text(path)
     try:
-        value = json.loads(text, parse_constant=_refuse_constant, parse_int=parse_whole)
+        value = json.loads(text, parse_constant=_refuse_constant, parse_int=parse_whole, object_pairs_hook=unique_keys)
     except RecursionError:
         raise FormatError(path, "is not JSON: it is nested too deeply") from None
     except ValueError as error:

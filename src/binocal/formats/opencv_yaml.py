@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from binocal.cameras import Camera, StereoRig
 from binocal.errors import DataError, DegenerateGeometryError, FormatError
-from binocal.formats.json_document import parse_whole
+from binocal.formats.json_document import parse_whole, unique_keys
 from binocal.geometry import SE3
 from binocal.input_file import exists, read_text
 from binocal.output import check_output, write_together
@@ -346,7 +346,7 @@ def _parse_yaml(path: Path, text: str) -> Any:
 
 def _parse_json(path: Path, text: str) -> Any:
     try:
-        return _with_arrays(path, json.loads(text, parse_int=parse_whole))
+        return _with_arrays(path, json.loads(text, parse_int=parse_whole, object_pairs_hook=unique_keys))
     except ValueError as error:
         raise FormatError(path, f"is not JSON: {error}") from None
 
