@@ -447,7 +447,9 @@ EXPLANATIONS = {
         archive is missing or was unpacked in part. Images matched by time are left out instead, unless none match.""",
     "dataset-image-size-differs": """
         A calibration holds for the size of image that it was made with. Images that were resized need another focal length, cropped
-        ones another principal point; rectified images with the calibration of raw ones give a wrong rig without any other sign.""",
+        ones another principal point; rectified images with the calibration of raw ones give a wrong rig without any other sign.
+        KITTI's `P0` to `P3` and Cityscapes' files do not say a size: there both images of a pair must have the same, and the
+        principal point must lie near their middle, which tells about what size was calibrated.""",
     "dataset-frame-unknown": """
         `--rig-of` names the pair whose calibration is to be used, by its whole name or by how that begins (a city of Cityscapes, a
         number of KITTI's). The names are those of the left images without their ending; the message lists the first.""",
@@ -478,9 +480,11 @@ EXPLANATIONS = {
 def sentence_with_places(kind: FindingKind) -> str:
     """The sentence with the figures' names in angle brackets and the remedy written out."""
     parts = []
-    for text, name, _, _ in string.Formatter().parse(kind.sentence):
+    for text, name, spec, _ in string.Formatter().parse(kind.sentence):
         parts.append(text)
-        if name == "remedy":
+        if name and spec and "|" in spec:  # one word or the other, by a number
+            parts.append(spec.partition("|")[2])
+        elif name == "remedy":
             parts.append(kind.remedy.replace("{", "⟨").replace("}", "⟩").replace(":.0f", ""))
         elif name:
             parts.append(f"⟨{name}⟩")

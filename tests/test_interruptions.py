@@ -14,7 +14,7 @@ import pytest
 def test_whenever_a_command_is_cut_its_output_is_whole(verb):
     script = Path(__file__).with_name("interruptions.py")
     done = subprocess.run(
-        [sys.executable, str(script), "--moments", "5", "--verbs", verb],
+        [sys.executable, str(script), "--moments", "3", "--verbs", verb],
         cwd=script.parents[1],
         capture_output=True,
         text=True,

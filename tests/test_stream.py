@@ -60,7 +60,7 @@ def test_a_pair_with_too_few_matches_is_left_out_by_name(tmp_path, monkeypatch):
     source = street_source(tmp_path, 5)
     matches, (left_out,) = pair_matching.matches_of(source.pairs, (STREET.left, STREET.right))
     assert matches.n_pairs == 4
-    assert left_out.text.startswith("1 of 5 pairs were left out: 3 (10 points")
+    assert left_out.text.startswith("1 of 5 pairs was left out: 3 (10 points")
 
 
 def test_a_rig_that_is_turned_on_the_way(tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from binocal.detection.found import not_found
 from binocal.evidence import Detections
 from binocal.findings import finding
 from binocal.simulation import sample_scene, simulate_detections, table2_rig
+from binocal.values import counted
 
 COPIES = {
     "pickle": lambda value: pickle.loads(pickle.dumps(value)),
@@ -133,3 +134,11 @@ def test_a_calibration_and_its_corners_print_within_ten_lines():
         "<Detections: 6 views of 35 points; left 1280x960: 210 corners in 6 views; "
         "right 1280x960: 210 corners in 6 views>"
     )
+
+
+def test_a_count_has_the_word_for_it():
+    assert [counted(n, "pair") for n in (0, 1, 2)] == ["0 pairs", "1 pair", "2 pairs"]
+    assert counted(2, "match", "matches") == "2 matches"
+    one, many = (finding("dataset-frames-left-out", n_out=n, n_pairs=n, names="a").text for n in (1, 3))
+    assert one.startswith("1 image has no partner and was left out (a); 1 pair is left; ")
+    assert many.startswith("3 images have no partner and were left out (a); 3 pairs are left; ")

@@ -7,6 +7,7 @@ rig) and :mod:`binocal.initialization.diagnosis` (views that no rig can be solve
 
 from __future__ import annotations
 
+import string
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -63,7 +64,10 @@ def finding_document(found: Finding) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class FindingKind:
-    """One row of the table of codes. ``sentence`` takes the figures, and the remedy as ``{remedy}``."""
+    """One row of the table of codes.
+
+    ``sentence`` takes the figures, and the remedy as ``{remedy}``. ``{n_pairs:pair|pairs}`` is the word for that number, one or many.
+    """
 
     code: str
     severity: Severity
@@ -87,8 +91,8 @@ _KINDS = (
     # --- natural images
     FindingKind(
         "matches-too-few", _R, "Too few points are seen by both cameras",
-        "{n_matches} points of {n_pairs} pairs were matched, {n_needed} are needed: the images show too little texture, are black or "
-        "blurred, or do not show one scene; {remedy}.",
+        "{n_matches} {n_matches:point|points} of {n_pairs} {n_pairs:pair|pairs} {n_matches:was|were} matched, {n_needed} are needed: "
+        "the images show too little texture, are black or blurred, or do not show one scene; {remedy}.",
         "give sharp pairs of one moment with texture at several depths", DegenerateGeometryError,
     ),
     FindingKind(
@@ -162,12 +166,12 @@ _KINDS = (
     ),
     FindingKind(
         "pairs-contradict", _R, "Pairs of images show different rigs",
-        "{n_odd} of {n_pairs} pairs do not fit together: {what}; {remedy}.",
+        "{n_odd} of {n_pairs} {n_pairs:pair|pairs} {n_odd:does|do} not fit together: {what}; {remedy}.",
         "give pairs of one moment each, taken by one rig, left images as left", InconsistentViewsError,
     ),
     FindingKind(
         "pairs-left-out", _W, "Pairs of images were left out",
-        "{n_odd} of {n_pairs} pairs were left out: {what}; {remedy}.",
+        "{n_odd} of {n_pairs} {n_pairs:pair|pairs} {n_odd:was|were} left out: {what}; {remedy}.",
         "see what is wrong with them, or leave them out",
     ),
     FindingKind(
@@ -186,14 +190,14 @@ _KINDS = (
     # --- lines of natural images
     FindingKind(
         "lines-too-few", _R, "Too few straight lines are seen",
-        "the image with most straight edges shows {n_segments} of them ({n_images} images), {n_needed} are needed: the images are black, "
-        "blurred, or do not show what people build; {remedy}.",
+        "the image with most straight edges shows {n_segments} of them ({n_images} {n_images:image|images}), {n_needed} are needed: the "
+        "images are black, blurred, or do not show what people build; {remedy}.",
         "give sharp images of a street or a room", DegenerateGeometryError,
     ),
     FindingKind(
         "lines-without-families", _R, "The straight lines run in no common directions",
-        "no image shows lines that are parallel in the scene (up to {n_segments} segments in {n_images} images, which meet as chance has "
-        "it): texture and plants tell nothing of a camera; {remedy}.",
+        "no image shows lines that are parallel in the scene (up to {n_segments} {n_segments:segment|segments} in {n_images} "
+        "{n_images:image|images}, which meet as chance has it): texture and plants tell nothing of a camera; {remedy}.",
         "give images of a street or a room", DegenerateGeometryError,
     ),
     FindingKind(
@@ -235,7 +239,7 @@ _KINDS = (
     ),
     FindingKind(
         "stream-too-few", _R, "Too few pairs of a stream tell the rig's turn",
-        "{n_told} pairs or groups of pairs of the stream tell the rig's turn, {n_needed} are needed; {remedy}.",
+        "{n_told} of the stream's pairs, or groups of pairs, {n_told:tells|tell} the rig's turn, {n_needed} are needed; {remedy}.",
         "give more pairs, or look at them without --stream", DegenerateGeometryError,
     ),
     FindingKind(
@@ -245,7 +249,8 @@ _KINDS = (
     ),
     FindingKind(
         "stream-pairs-skipped", _N, "Pairs of a stream that do not tell the rig's turn",
-        "{n_skipped} pairs do not tell the turn and were skipped, {n_used} were used: {names}; the first: {reason}", "",
+        "{n_skipped} {n_skipped:pair does|pairs do} not tell the turn and {n_skipped:was|were} skipped, {n_used} {n_used:was|were} "
+        "used: {names}; the first: {reason}", "",
     ),
     FindingKind(
         "stream-without-times", _N, "A stream without times",
@@ -333,7 +338,8 @@ _KINDS = (
     # --- images in which the board was not found
     FindingKind(
         "board-not-found", _R, "The board was found in no image",
-        "{board} was found in none of {n_images} images ({n_pairs} pairs): {reason} ({n_reason} of them, first {first}); {remedy}",
+        "{board} was found in none of {n_images} {n_images:image|images} ({n_pairs} {n_pairs:pair|pairs}): {reason} ({n_reason} of "
+        "them, first {first}); {remedy}",
         "check the board SPEC, the light and the focus", DetectionError,
     ),
     FindingKind(
@@ -355,8 +361,8 @@ _KINDS = (
     ),
     FindingKind(
         "board-in-too-few-pairs", _R, "Too few pairs show the board in both images",
-        "{board} was found in {n_left} of {n_pairs} left and {n_right} of {n_pairs} right images, in both of only {n_both} pairs "
-        "({n_needed} needed); where it was not: {reason} ({n_reason} images, first {first}); {remedy}",
+        "{board} was found in {n_left} of {n_pairs} left and {n_right} of {n_pairs} right images, in both of only {n_both} {n_both:pair|pairs} "
+        "({n_needed} needed); where it was not: {reason} ({n_reason} {n_reason:image|images}, first {first}); {remedy}",
         "take pairs in which both cameras see the whole board, sharp and well lit", DetectionError,
     ),
     # --- views that no rig can be solved from
@@ -442,8 +448,9 @@ _KINDS = (
     ),
     FindingKind(
         "left-and-right-contradict", _R, "No rig explains the pairs",
-        "left and right contradict each other: the best rig misses the corners of the {n_views} pairs by {miss_px:.2g} px in the median, "
-        "where each camera alone fits them to {own_px:.2g} px, and {n_agreeing} pairs agree on it: {remedy}.",
+        "left and right contradict each other: the best rig misses the corners of the {n_views} {n_views:pair|pairs} by {miss_px:.2g} "
+        "px in the median, where each camera alone fits them to {own_px:.2g} px, and {n_agreeing} {n_agreeing:pair agrees|pairs agree} "
+        "on it: {remedy}.",
         "check that the pairs are of the same moment, that the rig is rigid, and that both cameras number the same board alike",
         InconsistentViewsError,
     ),
@@ -485,7 +492,8 @@ _KINDS = (
     ),
     FindingKind(
         "dataset-frames-unmatched", _R, "Images of one camera have no partner of the other",
-        "{n_unmatched} of {n_left} left and {n_right} right images have no partner ({names}): {first} has none in {place}; {remedy}.",
+        "{n_unmatched} {n_unmatched:image has|images have} no partner among {n_left} left and {n_right} right ones ({names}): {first} has "
+        "none in {place}; {remedy}.",
         "unpack both cameras' archives completely", DataError,
     ),
     FindingKind(
@@ -544,7 +552,7 @@ _KINDS = (
     ),
     FindingKind(
         "corner-orders-repaired", _W, "Most views had their corner order repaired",
-        "{n_views} views needed their corner order repaired: one camera numbers the board's corners from the other end.", "",
+        "the corner order of {n_views} {n_views:view was|views was} repaired: one camera numbers the board's corners from the other end.", "",
     ),
     FindingKind(
         "start-simplified", _W, "The closed-form start had to do with fewer parameters",
@@ -574,7 +582,7 @@ _KINDS = (
     ),
     FindingKind(
         "rig-has-two-states", _W, "Some views are of another state of the rig",
-        "in {n_views} views ({views}) the {camera} camera (or the other the opposite way) is {what}, in the others it is not; "
+        "in {n_views} {n_views:view|views} ({views}) the {camera} camera (or the other the opposite way) is {what}, in the others it is not; "
         "{remedy}.",
         "calibrate both groups apart; look for a loose lens or mount, a stabiliser, or mixed recordings",
     ),
@@ -690,8 +698,8 @@ _KINDS = (
     ),
     FindingKind(
         "dataset-rigs-left-out", _W, "Pairs of other calibrations of a data set were left out",
-        "{n_out} of {n_pairs} pairs are of {n_rigs} other calibrations and were left out ({names}); used is the calibration of {used}, "
-        "{why}; {remedy}.",
+        "{n_out} of {n_pairs} {n_pairs:pair|pairs} {n_out:is|are} of {n_rigs} other {n_rigs:calibration|calibrations} and "
+        "{n_out:was|were} left out ({names}); used is the calibration of {used}, {why}; {remedy}.",
         "choose another one with --rig-of FRAME",
     ),
     FindingKind(
@@ -702,7 +710,8 @@ _KINDS = (
     ),
     FindingKind(
         "dataset-frames-left-out", _W, "Some images of a data set have no partner and were left out",
-        "{n_out} images have no partner and were left out ({names}); {n_pairs} pairs are left; {remedy}.",
+        "{n_out} {n_out:image has|images have} no partner and {n_out:was|were} left out ({names}); {n_pairs} {n_pairs:pair is|pairs "
+        "are} left; {remedy}.",
         "check that both cameras' images are complete",
     ),
     FindingKind(
@@ -790,11 +799,24 @@ KINDS: dict[str, FindingKind] = {kind.code: kind for kind in _KINDS}
 """Every code, in the order of the documentation."""
 
 
+class _Sentences(string.Formatter):
+    """Fills in figures, and for a count with two words (``one|many``) the word that is right for it."""
+
+    def format_field(self, value: Any, format_spec: str) -> Any:
+        one, bar, many = format_spec.partition("|")
+        if not bar:
+            return super().format_field(value, format_spec)
+        return one if value == 1 else many
+
+
+_SENTENCES = _Sentences()
+
+
 def finding(code: str, *, remedy: str | None = None, **figures: Any) -> Finding:
     """The finding of that code with these figures; ``remedy`` in place of the table's where this case knows a better one."""
     kind = KINDS[code]
-    what = (kind.remedy if remedy is None else remedy).format(**figures)
-    return Finding(code, kind.severity, kind.sentence.format(**figures, remedy=what), what, figures)
+    what = _SENTENCES.format(kind.remedy if remedy is None else remedy, **figures)
+    return Finding(code, kind.severity, _SENTENCES.format(kind.sentence, **figures, remedy=what), what, figures)
 
 
 def refusal(found: Finding, rejected: Mapping[str, str] | None = None) -> BinocalError:

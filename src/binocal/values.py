@@ -38,3 +38,8 @@ def with_sigma(value: float, sigma: float) -> str:
         return f"{value:.6g}"
     digits = min(12, max(0, 1 - math.floor(math.log10(sigma))))
     return f"{value:.{digits}f} ± {sigma:.{digits}f}"
+
+
+def counted(n: int, one: str, many: str = "") -> str:
+    """``1 pair``, ``2 pairs``: a number with the word for it; ``many`` where that is not ``one`` with an s."""
+    return f"{n} {one if n == 1 else many or one + 's'}"

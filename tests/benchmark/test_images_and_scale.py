@@ -42,12 +42,12 @@ def test_rigs_from_images_are_compared_with_both_of_opencvs_calibrations():
 
 
 def test_stated_deviations_hold_from_small_squares_and_compressed_images():
-    table = run("coverage", pairs=6, rigs=10, seed=1)
+    table = run("coverage", pairs=6, rigs=6, seed=1)
     assert [row["case"] for row in table["rows"]] == ["as it is", "gamma 2.2", "JPEG 90", "JPEG 75"]
-    # 40 rigs of 22 parameters together: 1.00 within 5 %; 1.5 with independent corners
-    assert np.mean([row["squared_over_covariance"] for row in table["rows"]]) == pytest.approx(1, abs=0.2)
+    # 24 rigs of 22 parameters together: 1.00 within 6 %; 1.5 with independent corners
+    assert np.mean([row["squared_over_covariance"] for row in table["rows"]]) == pytest.approx(1, abs=0.25)
     assert np.mean([row["within_1_sigma"] for row in table["rows"]]) == pytest.approx(0.683, abs=0.06)
-    assert all(row["n_failed"] == 0 for row in table["rows"]) and "10 rigs of 6 pairs a row" in table["text"]
+    assert all(row["n_failed"] == 0 for row in table["rows"]) and "6 rigs of 6 pairs a row" in table["text"]
 
 
 def test_unknown_benchmarks_are_named():

@@ -11,6 +11,7 @@ from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.from_guess import solve_from_guess
 from binocal.geometry import so3
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
+from binocal.solvers.loop import listening
 
 FAR = [12.0, -9.0, 13.0, -0.042, 0.0, 0.01]  # 20 deg and 30 % of the baseline off
 AGENTS = ("drl", "drl-increments", "lm")
@@ -41,6 +42,19 @@ def test_it_ends_where_the_joint_solve_does(corners, joint, agent, guess):
     assert so3.angle_rad(T.R @ expected.R.T) < 0.01 * sigma["rotation.x"]
     said = made.provenance["from_guess"]
     assert said["is_converged"] and (said["agent_iterations"] > 0) == (agent != "lm")
+
+
+def test_the_joint_solve_goes_on_from_where_the_agent_ended(corners):
+    fits = []  # RMS residual at every start and after every iteration
+
+    def listen(problem, state, n_done):
+        fits.append((n_done, np.sqrt(np.mean(np.concatenate(problem.residual_lengths2(state.estimate))))))
+
+    with listening(listen):
+        calibrate(corners, calibrator="from-guess", model="brown4", options={"baseline_m": 0.06})
+    starts = [i for i, (n_done, _) in enumerate(fits) if n_done == 0]
+    after = next(i for i in starts if i and fits[i - 1][1] < 0.2)  # 0.09 px with the cameras of the vanishing points
+    assert fits[0][1] > 10 and fits[after][1] == pytest.approx(fits[after - 1][1], rel=0.01)
 
 
 def test_the_agent_itself_brings_the_rig_to_its_minimum(corners):

@@ -137,14 +137,14 @@ def test_pairs_that_contradict_are_named():
     found = solve(matches)
     assert [f.code for f in found.findings] == [
         "pairs-left-out"
-    ] and "1 of 3 pairs were left out: b (" in found.findings[0].text
+    ] and "1 of 3 pairs was left out: b (" in found.findings[0].text
     assert [view.name for view in found.views] == ["a", "c"]
 
 
 def test_matches_that_tell_nothing_are_refused():
     rng = np.random.default_rng(5)
     good = street(rng, 200, 0.1)
-    with pytest.raises(DegenerateGeometryError, match="20 points of 1 pairs"):
+    with pytest.raises(DegenerateGeometryError, match="20 points of 1 pair were"):
         solve(good.select(np.arange(20)))
     with pytest.raises(InconsistentViewsError, match="agree with one pose"):
         solve(replace(good, right_px=rng.uniform(0, 1, good.right_px.shape) * SIZE))

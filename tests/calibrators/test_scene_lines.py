@@ -64,13 +64,13 @@ def test_standard_deviations_hold_with_half_of_the_segments_wrong():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["clutter", "skew"])
-def test_standard_deviations_hold_over_80_cameras(kind):
-    """68 and 95 % to the scatter of 80 draws (5 and 2.4 %); of 200: see the how-to page. Skew scenes are overstated at most."""
+def test_standard_deviations_hold_over_50_cameras(kind):
+    """68 and 95 % to the scatter of 50 draws (6.6 and 3 %); of 200: see the how-to page. Skew scenes are overstated at most."""
     options = {"clutter": {"clutter": 0.5}, "skew": {"skew_deg": 0.3}}[kind]
     request = SceneRequest() if kind == "skew" else EXACT
-    z = scores(80, lambda rng, K: room(rng, K, tilted(rng), **options), request)[:, 0]
+    z = scores(50, lambda rng, K: room(rng, K, tilted(rng), **options), request)[:, 0]
     one, two = np.mean(np.abs(z) < 1), np.mean(np.abs(z) < 1.96)
-    assert 0.56 < one < (0.86 if kind == "skew" else 0.80) and two > 0.89
+    assert 0.54 < one < (0.88 if kind == "skew" else 0.82) and two > 0.87
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def test_kitti_raw_rectified(tmp_path):
     drive = trees.kitti_raw(tmp_path)
     dataset = open_dataset(f"kitti:{drive}")
     assert dataset.is_rectified and len(dataset) == 3 and "gray" in dataset.layout
-    assert "metres" in dataset.scale_source
+    assert "99.5 mm" in dataset.scale_source
     left, right = dataset.cameras
     np.testing.assert_allclose(left.K, [[50, 0, 30], [0, 50, 9], [0, 0, 1]])
     assert left.size_wh == right.size_wh == trees.SIZE and not left.distortion.any()
@@ -262,6 +262,31 @@ def test_a_size_that_is_not_the_calibrations_is_refused(tmp_path, kind, tree, im
     assert code_of(f"{kind}:{tmp_path}") == "dataset-image-size-differs"
 
 
+@pytest.mark.parametrize("resized", ["image_3", "image_[23]"])
+@pytest.mark.parametrize("form", ["object", "odometry", "stereo2015"])
+def test_resized_images_are_named_where_the_calibration_has_no_size(tmp_path, form, resized):
+    for folder in trees.kitti_listed(tmp_path, form).glob(resized):
+        for image in folder.iterdir():
+            trees.write_image(image, (42, 13))
+    with pytest.raises(DataError, match=r"has 42x13 pixels, .* is for (62x20|about 60x18)") as caught:
+        open_dataset(f"kitti:{tmp_path}:colour")
+    assert caught.value.findings[0].code == "dataset-image-size-differs"
+
+
+def test_resized_images_of_a_city_are_named(tmp_path):
+    for image in trees.cityscapes(tmp_path).glob("*Img8bit/train/aachen/*"):
+        trees.write_image(image, (42, 13))
+    with pytest.raises(DataError, match=r"has 42x13 pixels, .*camera\.json is for about 60x18") as caught:
+        open_dataset(f"cityscapes:{tmp_path}")
+    assert caught.value.findings[0].code == "dataset-image-size-differs"
+
+
+def test_a_camera_model_that_is_not_read_is_named_with_what_to_do(tmp_path):
+    replace_in(trees.euroc(tmp_path) / "mav0/cam0/sensor.yaml", "camera_model: pinhole", "camera_model: omni")
+    with pytest.raises(DataError, match=r"'omni', only pinhole can be read; give the images with --left"):
+        open_dataset(f"euroc:{tmp_path}")
+
+
 def test_one_side_rectified_and_the_other_not_is_refused(tmp_path):
     drive = trees.kitti_raw(tmp_path)
     trees.write_image(drive / "image_01" / "data" / "0000000000.png", trees.RAW_SIZE)
@@ -287,7 +312,7 @@ KITTI_FILE = "2011_09_26/calib_cam_to_cam.txt"
         ("kitti", trees.kitti_raw, KITTI_FILE, "P_rect_01: 5", "P_rect_01: x5", r"line 17: P_rect_01 holds .* number"),
         ("kitti", trees.kitti_raw, KITTI_FILE, "P_rect_01: 5", "P_rect_01: 1 5", r"line 17: P_rect_01 has 13 numbers, 12"),
         ("kitti", trees.kitti_raw, KITTI_FILE, "P_rect_01: 5", "P_rect_01: nan 5", r"line 17: P_rect_01 has"),
-        ("kitti", trees.kitti_raw, KITTI_FILE, "P_rect_01:", "P_rect_09:", r"has no P_rect_01"),
+        ("kitti", trees.kitti_raw, KITTI_FILE, "P_rect_01:", "P_rect_09:", r"has neither P1 nor P_rect_01"),
         ("kitti", trees.kitti_raw, KITTI_FILE, "T_01:", "T_00:", r"line 14: T_00 stands twice"),
         ("kitti", trees.kitti_raw, KITTI_FILE, "T_01:", "T_01 ", r"line 14: has no ':'"),
         ("euroc", trees.euroc, "mav0/cam0/sensor.yaml", "data: [", "data: [0.5, ", r"line 3: T_BS has 17 numbers"),

@@ -15,7 +15,7 @@ from binocal.solvers.arrays import stack_rigs
 from binocal.solvers.board_views import CameraObservations
 from binocal.solvers.controlled import MAX_CONTROLLED_ITERATIONS, minimize_controlled
 from binocal.solvers.controllers import Marquardt, Nielsen, Schedule
-from binocal.solvers.loop import advance, begin
+from binocal.solvers.loop import advance, begin, listening
 from binocal.solvers.loop_state import Action
 from binocal.solvers.minimization import minimize
 
@@ -178,3 +178,14 @@ def test_a_batch_takes_the_steps_of_its_single_rigs():
         single = advance(problem, begin(problem, start, "hampel"), CORRECTED, "hampel")
         assert np.allclose(batch.estimate.T_right_left.R[index], single.estimate.T_right_left.R, atol=1e-12)
         assert batch.mad_px[index] == pytest.approx(single.mad_px, rel=1e-12)
+
+
+def test_a_listener_is_told_of_the_start_and_of_every_iteration_and_changes_nothing():
+    problem, start = make_case(1)
+    told = []
+    with listening(lambda of, state, n_done: told.append((of is problem, n_done, float(state.cost_px2)))):
+        heard = minimize(problem, start)
+    alone = minimize(problem, start)  # nobody listens any more
+    assert [n for _, n, _ in told] == list(range(len(told))) and len(told) == int(heard.n_iterations) + 1
+    assert all(is_it for is_it, _, _ in told) and told[-1][2] < 0.1 * told[0][2]
+    assert np.array_equal(heard.estimate.T_right_left.t, alone.estimate.T_right_left.t)

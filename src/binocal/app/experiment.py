@@ -73,6 +73,7 @@ def experiment(
         timed_results,
     )
     from binocal.experiments.colours import real_colour_cases
+    from binocal.experiments.convergence import loss_curves
     from binocal.experiments.journal import Journal
     from binocal.experiments.page import page_files
     from binocal.experiments.paper import cases_of, experiment_document
@@ -81,6 +82,7 @@ def experiment(
     from binocal.experiments.run import rows_of, run_cases
     from binocal.experiments.stability import stability_rows
     from binocal.experiments.trained import histories_in
+    from binocal.report.curves import draw_curves
     from binocal.report.training import training_drawing
 
     options = options or ExperimentOptions()
@@ -116,6 +118,12 @@ def experiment(
     run = ExperimentRun(rows, folder, was_resumed)
     histories = histories_in(folder, seeds)
     given = {"training.svg": training_drawing(histories).decode()} if histories else {}
+    if curves := loss_curves(rows):
+        title, marked = (
+            "Figure 5: the loss of every solver by iteration",
+            {"the paper: 30": 30.0, "its others: 70": 70.0},
+        )
+        given["figure-5-loss.svg"] = draw_curves(curves, "mean square of the residuals (px²)", title, marked)
     files = page_files(paper_page(options, rows), given) | {
         TIMES: times_text(rows),
         RESULTS: dump_json(jsonable(run.document())),

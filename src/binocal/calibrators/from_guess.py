@@ -174,7 +174,7 @@ def _guess(options: Mapping[str, Any], boards: SE3) -> SE3:
 
 
 class _ContinuesFrom:
-    """The classical minimiser, which begins its first solve at a rig that was found before."""
+    """The classical minimiser, which begins its first solve at a rig that was found before, and at its boards of the same views."""
 
     def __init__(self, found: BundleEstimate) -> None:
         self._found: BundleEstimate | None = found
@@ -188,6 +188,10 @@ class _ContinuesFrom:
         scale_px: Float[ndarray, "*batch"] | None = None,
     ) -> BundleMinimum:
         if self._found is not None:
-            start = replace(start, parameters=self._found.parameters, T_right_left=self._found.T_right_left)
+            found = self._found.T_left_board
+            boards = found if found.t.shape == start.T_left_board.t.shape else start.T_left_board  # fewer: other views
+            start = replace(
+                start, parameters=self._found.parameters, T_left_board=boards, T_right_left=self._found.T_right_left
+            )
             self._found = None
         return minimize(problem, start, options, scale_px=scale_px)

@@ -10,7 +10,7 @@ from binocal.app.natural import NaturalRun
 from binocal.app.natural_drift import ANGLES, Drift
 from binocal.formats import rig_json
 from binocal.metrics.rows import RowFigures
-from binocal.values import with_sigma
+from binocal.values import counted, with_sigma
 
 
 def run_document(run: NaturalRun, **more: Any) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def recalibrate_text(run: NaturalRun, output: Any, kept: str = "") -> str:
     )
     led = calibration.provenance["agent"]
     if "agreeing" in led:
-        lines.append(f"Led by   {led['won']}; {led['agreeing']} of {len(led['costs'])} solves ended there")
+        lines.append(f"Led by   {led['won']}; {led['agreeing']} of {counted(len(led['costs']), 'solve')} ended there")
     lines += _common_lines(run)
     lines.append(f"Wrote    {output}{kept}")
     return "\n".join(lines)
@@ -122,7 +122,7 @@ def _common_lines(run: NaturalRun) -> list[str]:
     provenance = run.calibration.provenance
     lines.append(
         f"Matches  {provenance['n_right']} of {provenance['n_matches']} agree, noise {run.calibration.noise_px:.3f} px, "
-        f"{len(run.calibration.views)} pair{'' if len(run.calibration.views) == 1 else 's'}; "
+        f"{counted(len(run.calibration.views), 'pair')}; "
         f"standard deviations of the intrinsics: {provenance['intrinsics_sigma']}"
     )
     return lines

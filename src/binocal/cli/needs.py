@@ -12,6 +12,7 @@ from binocal.cli.exits import one_line
 from binocal.cli.tables import format_table
 from binocal.planning import PlannedView, ViewPlan
 from binocal.requirements import Outcome, Requirement, Verdict, parse_requirement
+from binocal.values import counted
 
 SHOWN_VIEWS = 8  # of a plan in the table; --json has all
 _MARKS = {Outcome.PASS: "Pass", Outcome.FAIL: "FAIL", Outcome.UNDECIDED: "Undecided"}
@@ -50,7 +51,7 @@ def _plan_lines(plan: ViewPlan, unit: tuple[str, float]) -> list[str]:
         return [f"Plan     for {need.text}: none; {plan.why}"]
     n = len(plan.views)
     after = need.shown(plan.views[-1].figure)
-    views = f"{n} more view{'s' if n > 1 else ''}"
+    views = counted(n, "more view")
     head = (
         f"Plan     {views} meet{'s' if n == 1 else ''} {need.text}: {need.shown(plan.figure)} becomes {after}"
         if plan.is_enough

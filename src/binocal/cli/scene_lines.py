@@ -12,7 +12,7 @@ from binocal.cli.exits import one_line
 from binocal.cli.grouping import list_names
 from binocal.cli.tables import format_table
 from binocal.findings import finding_document
-from binocal.values import with_sigma
+from binocal.values import counted, with_sigma
 
 UNTOLD = "not measured by the lines"
 
@@ -88,7 +88,7 @@ def scene_text(run: SceneRun) -> str:
     )
     used = [image for image in found.images if not image.reason]
     lines.append(
-        f"Segments {run.n_segments} in {len(found.images)} images, off by {found.noise_px:.2f} px beyond their edges' noise"
+        f"Segments {run.n_segments} in {counted(len(found.images), 'image')}, off by {found.noise_px:.2f} px beyond their edges' noise"
     )
     for image in used:
         counts = ", ".join(str(n) for n in image.in_family)

@@ -10,6 +10,7 @@ from binocal.app.natural_drift import ANGLES
 from binocal.app.stream import StreamRun
 from binocal.cli.natural import drift_document
 from binocal.findings import Severity, finding_document
+from binocal.values import counted
 
 
 def stream_document(run: StreamRun) -> dict[str, Any]:
@@ -78,7 +79,9 @@ def stream_text(run: StreamRun) -> str:
         depths = ", ".join(f"{percent:.2g} % at {depth} m" for depth, percent in run.depth_error_percent.items())
         lines.append(f"Depth    a yaw off by {abs(drift.turn_deg[1]):.3f} deg means {depths}")
     sigmas = ", ".join(f"{s:.4f}" for s in np.median([turn.sigma_deg for turn in run.turns], axis=0))
-    lines.append(f"Pairs    {len(run.turns)} measurements, each to {sigmas} deg (median); {len(run.skipped)} skipped")
+    lines.append(
+        f"Pairs    {counted(len(run.turns), 'measurement')}, each to {sigmas} deg (median); {len(run.skipped)} skipped"
+    )
     return "\n".join(lines)
 
 

@@ -18,7 +18,7 @@ from binocal.metrics.common_rows import LEAST_VIEWS, CommonRows
 from binocal.metrics.pose import ParameterError
 from binocal.requirements.agreement import LEAST_P, Agreement
 from binocal.result import RejectedView, StereoCalibration
-from binocal.values import with_sigma
+from binocal.values import counted, with_sigma
 
 CONVENTION = (
     "x_right = R x_left + t. R is the right camera turned from the left one's pose by pitch about its own x (right),\n"
@@ -133,7 +133,7 @@ def images_text(evaluation: ImageEvaluation, is_metric: bool) -> str:
         (
             "relative length error (RMS)",
             f"{length.scale_rms_percent:.4f} %",
-            f"mean {length.scale_mean_percent:+.4f}, {length.n_views} views{against}",
+            f"mean {length.scale_mean_percent:+.4f}, {counted(length.n_views, 'view')}{against}",
         ),
         ("error of a single side (RMS)", f"{length.side_rms_percent:.3f} %", f"{length.n_sides} sides"),
     ]
@@ -172,7 +172,7 @@ def demo_text(cases: Sequence[DemoCase], output: Path) -> str:
     for case in cases:
         n_views = len(case.run.calibration.views)
         lines += [
-            f"{case.name} board: {n_views} pairs, RMS {case.run.calibration.rms.all_px:.3f} px, corner noise "
+            f"{case.name} board: {counted(n_views, 'pair')}, RMS {case.run.calibration.rms.all_px:.3f} px, corner noise "
             f"{case.run.calibration.noise_px:.4f} px",
             *(f"warning: {one_line(text)}" for text in case.run.calibration.warnings),
             "",

@@ -19,10 +19,10 @@ ROTATION_TOLERANCE = 1e-4  # published matrices have 7 digits, and stay within 1
 SHORTEST_BASELINE_M, LONGEST_BASELINE_M = 0.005, 5.0  # outside, a unit was mistaken
 
 
-def broken(path: Path, problem: str, line: int | None = None) -> BinocalError:
-    """The refusal of a calibration file, with the line where it is broken (counted from 1)."""
+def broken(path: Path, problem: str, line: int | None = None, remedy: str | None = None) -> BinocalError:
+    """The refusal of a calibration file, with the line where it is broken (counted from 1); ``remedy`` in place of unpacking it again."""
     where = f"{path}, line {line}" if line else str(path)
-    return refusal(finding("dataset-calibration-broken", path=str(path), where=where, problem=problem))
+    return refusal(finding("dataset-calibration-broken", remedy=remedy, path=str(path), where=where, problem=problem))
 
 
 def read_text(path: Path) -> str:

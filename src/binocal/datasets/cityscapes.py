@@ -15,7 +15,7 @@ import numpy as np
 
 from binocal.cameras import StereoRig
 from binocal.datasets.calibration_text import broken, make_camera, make_rig, read_text
-from binocal.datasets.dataset import Dataset, SharedRigs, StereoPair
+from binocal.datasets.dataset import Dataset, SharedRigs, StereoPair, check_centre, check_size
 from binocal.datasets.frames import list_images, match_by_name, side_missing
 from binocal.datasets.naming import natural_key
 from binocal.findings import finding, refusal
@@ -23,7 +23,7 @@ from binocal.geometry import SE3
 from binocal.images.reading import read_image_size
 
 LEFT, RIGHT, CAMERA = "leftImg8bit", "rightImg8bit", "camera"
-SCALE_SOURCE = "baseline in the camera files, metres"
+SCALE_SOURCE = "baseline in the camera files"
 
 
 def open_cityscapes(path: Path, choice: str = "") -> Dataset:
@@ -78,12 +78,13 @@ def _open_city(root: Path, city: str, shared: SharedRigs) -> list[StereoPair]:
     pairs = []
     for name, left, right in match_by_name(sides[0], sides[1], folders):
         file = root / CAMERA / city / f"{name}_camera.json"
-        rig = shared.share(_read_camera(file, read_image_size(left), read_image_size(right)))
+        rig = shared.share(_read_camera(file, (left, right)))
         pairs.append(StereoPair(name, left, right, rig=rig))
     return pairs
 
 
-def _read_camera(path: Path, left_wh: tuple[int, int], right_wh: tuple[int, int]) -> StereoRig:
+def _read_camera(path: Path, images: tuple[Path, Path]) -> StereoRig:
+    """The rig of the two images; the file does not say what size they have."""
     try:
         document = json.loads(read_text(path))
     except json.JSONDecodeError as error:
@@ -93,6 +94,9 @@ def _read_camera(path: Path, left_wh: tuple[int, int], right_wh: tuple[int, int]
     if baseline_m <= 0:
         raise broken(path, "extrinsic.baseline is not positive")
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    left_wh, right_wh = (read_image_size(image) for image in images)
+    check_size(images[1], right_wh, (left_wh,), "the calibration of the left image")
+    check_centre(images[0], left_wh, K[:2, 2], path)
     left, right = (make_camera(path, K, np.zeros(4), size) for size in (left_wh, right_wh))
     return make_rig(path, left, right, SE3(np.eye(3), np.array([-baseline_m, 0.0, 0.0])))
 

@@ -13,6 +13,9 @@ from binocal.cameras import Camera, StereoRig
 from binocal.datasets.frames import name_some
 from binocal.findings import Finding, finding, refusal
 from binocal.images import read_grey_image, read_image
+from binocal.shapes import Float
+
+MOST_OFF_CENTRE = 0.2  # of the image's size, for a principal point: published ones lie within 0.05, those of images of half the size outside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,5 +200,26 @@ def check_size(path: Path, size_wh: tuple[int, int], allowed_wh: Sequence[tuple[
                 height_px=size_wh[1],
                 calibrated=sizes,
                 source=source,
+            )
+        )
+
+
+def check_centre(path: Path, size_wh: tuple[int, int], centre_px: Float[ndarray, "2"], file: Path) -> None:
+    """Refuse an image that is of another size than the camera whose principal point a file has, where the file has no size.
+
+    Raises:
+        DataError: That lies far from the image's middle (finding ``dataset-image-size-differs``).
+    """
+    off = np.abs(centre_px / size_wh - 0.5)
+    if off.max() > MOST_OFF_CENTRE:
+        about = f"about {2 * centre_px[0]:.0f}x{2 * centre_px[1]:.0f}"
+        raise refusal(
+            finding(
+                "dataset-image-size-differs",
+                path=str(path),
+                width_px=size_wh[0],
+                height_px=size_wh[1],
+                calibrated=about,
+                source=str(file),
             )
         )

@@ -20,6 +20,7 @@ from binocal.findings import finding, refusal
 from binocal.geometry import SE3
 from binocal.images.reading import read_image_size
 
+_BRING_A_RIG = "give the images with --left and --right, and with --rig a rig that binocal reads"
 _DISTORTIONS = {"radial-tangential": 4, "radtan": 4, "plumb_bob": 4, "equidistant": 4, "none": 0}
 
 
@@ -73,7 +74,7 @@ def open_euroc(path: Path, choice: str = "") -> Dataset:
     if alone:
         names = name_some(f"{path.parent.parent.name}/{path.name}" for path, _ in alone)
         findings = (finding("dataset-frames-left-out", n_out=len(alone), n_pairs=len(pairs), names=names),)
-    return Dataset("euroc", "EuRoC (mav0)", path, pairs, False, "T_BS in sensor.yaml, metres", alone, findings)
+    return Dataset("euroc", "EuRoC (mav0)", path, pairs, False, "T_BS in sensor.yaml", alone, findings)
 
 
 def _times(paths: dict[str, Path]) -> dict[int, Path]:
@@ -98,11 +99,13 @@ def _read_sensor(path: Path) -> tuple[Camera, SE3, float]:
             path,
             f"camera_model is {document.get('camera_model')!r}, only pinhole can be read",
             _line_of(path, "camera_model"),
+            _BRING_A_RIG,
         )
     model = document.get("distortion_model")
     if model not in _DISTORTIONS:
         known = ", ".join(_DISTORTIONS)
-        raise broken(path, f"distortion_model is {model!r}; known are {known}", _line_of(path, "distortion_model"))
+        problem = f"distortion_model is {model!r}; known are {known}"
+        raise broken(path, problem, _line_of(path, "distortion_model"), _BRING_A_RIG)
     fx, fy, cx, cy = _numbers(path, document, "intrinsics", 4)
     distortion = (
         _numbers(path, document, "distortion_coefficients", _DISTORTIONS[model]) if model != "none" else np.zeros(4)

@@ -16,7 +16,7 @@ import numpy as np
 
 from binocal.cameras import StereoRig
 from binocal.datasets.calibration_text import Entries, broken, make_camera, make_rig, read_entries, read_text
-from binocal.datasets.dataset import Dataset, SharedRigs, StereoPair, check_size
+from binocal.datasets.dataset import Dataset, SharedRigs, StereoPair, check_centre, check_size
 from binocal.datasets.frames import list_images, match_by_name, name_some
 from binocal.errors import BinocalError
 from binocal.findings import finding, refusal
@@ -24,7 +24,7 @@ from binocal.geometry import SE3
 from binocal.images.reading import read_image_size
 
 COLOURS = {"gray": (0, 1), "grey": (0, 1), "colour": (2, 3), "color": (2, 3)}
-SCALE_SOURCE = "KITTI's calibration boards (squares of 99.5 mm), metres"
+SCALE_SOURCE = "KITTI's calibration boards (squares of 99.5 mm)"
 AGREEMENT = 1e-4  # of R_rect_j R_j with R_rect_i R_i: the files' 7 digits leave 1e-6
 _TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{1,9})$")
 
@@ -151,7 +151,7 @@ def _open_raw(
     check_size(images[0], sizes[0], (rectified[0], raw[0]), str(file))
     is_rectified = sizes[0] == rectified[0] and not (sizes[0] == raw[0] and root.name.endswith("_extract"))
     check_size(images[1], sizes[1], ((rectified if is_rectified else raw)[1],), str(file))
-    rig = _read_rectified(entries, numbers, sizes) if is_rectified else read_raw_rig(file, numbers)
+    rig = _read_rectified(entries, numbers, images) if is_rectified else read_raw_rig(file, numbers)
     times = [_read_dates(root / f"image_{number:02d}" / "timestamps.txt") for number in numbers]
     pairs = tuple(
         StereoPair(name, a, b, _time_at(times[0], name), _time_at(times[1], name), rig) for name, a, b in matches
@@ -227,21 +227,28 @@ class _ListedRigs:
         self._shared = SharedRigs()
 
     def of_image(self, name: str, left: Path, right: Path) -> StereoRig:
-        """The rig of the two images, whose sizes the smaller calibration files do not hold."""
+        """The rig of the two images."""
         file = self._root / self._layout.calibration.format(frame=name.partition("_")[0])
         if file not in self._entries:
             self._entries = {file: read_entries(file)}
-        sizes = [read_image_size(left), read_image_size(right)]
-        return self._shared.share(_read_rectified(self._entries[file], self._numbers, sizes))
+        return self._shared.share(_read_rectified(self._entries[file], self._numbers, (left, right)))
 
 
-def _read_rectified(entries: Entries, numbers: tuple[int, int], sizes: list[tuple[int, int]]) -> StereoRig:
-    """The rig of rectified images from P_rect_0i, or P0 .. P3."""
+def _read_rectified(entries: Entries, numbers: tuple[int, int], images: tuple[Path, ...]) -> StereoRig:
+    """The rig of two rectified images from P_rect_0i, or P0 .. P3; the files of the latter do not say what size they are for."""
     cameras, origins = [], []
-    for number, size in zip(numbers, sizes, strict=True):
-        key = f"P{number}" if f"P{number}" in entries else f"P_rect_{number:02d}"
+    sizes = [read_image_size(image) for image in images]
+    check_size(images[1], sizes[1], (sizes[0],), "the calibration of the left image")
+    for number, image, size in zip(numbers, images, sizes, strict=True):
+        short, long = f"P{number}", f"P_rect_{number:02d}"
+        key = short if short in entries else long
+        if key not in entries:
+            raise broken(entries.path, f"has neither {short} nor {long}")
         P = entries.matrix(key, 3, 4)
         line = entries.texts[key][0]
+        if f"S_rect_{number:02d}" in entries:
+            check_size(image, size, (entries.size(f"S_rect_{number:02d}"),), str(entries.path))
+        check_centre(image, size, P[:2, 2], entries.path)
         if np.abs(P[2, :3] - (0, 0, 1)).max() > 1e-9 or not (P[0, 0] > 0 and P[1, 1] > 0):
             raise broken(entries.path, f"{key} is no projection of a rectified camera", line)
         cameras.append(make_camera(entries.path, P[:, :3], np.zeros(4), size))

@@ -41,7 +41,7 @@ def open_middlebury(path: Path, choice: str = "") -> Dataset:
         raise refusal(finding("dataset-layout-unknown", path=str(root), kind="middlebury", problem=problem))
     shared = SharedRigs()
     pairs = tuple(_open_scene(scene, shared) for scene in scenes)
-    return Dataset("middlebury", "Middlebury, rectified", path, pairs, True, "baseline in calib.txt, millimetres")
+    return Dataset("middlebury", "Middlebury, rectified", path, pairs, True, "baseline in calib.txt")
 
 
 def _is_scene(path: Path) -> bool:

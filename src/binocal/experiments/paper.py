@@ -9,6 +9,7 @@ from typing import Any
 from binocal.experiments.boards import MODEL, RenderedBoards, board_errors, nominal_rig
 from binocal.experiments.case import AtBound, ByCalibrator, Case, Method, PriorUnchanged, by_calibrator
 from binocal.experiments.colours import colour_cases
+from binocal.experiments.convergence import convergence_cases
 from binocal.experiments.guesses import AsPrinted, guess_cases
 from binocal.experiments.options import ExperimentOptions
 from binocal.experiments.preparations import preparation_cases
@@ -77,7 +78,7 @@ def trains(options: ExperimentOptions) -> bool:
 
 def experiment_document(options: ExperimentOptions) -> dict[str, Any]:
     """What an experiment of these options is, for its journal."""
-    return {"model": MODEL, "boards": list(BOARDS), "version": 2, "trains": trains(options)} | options.document()
+    return {"model": MODEL, "boards": list(BOARDS), "version": 3, "trains": trains(options)} | options.document()
 
 
 def cases_of(options: ExperimentOptions, folder: Path) -> Sequence[Case]:
@@ -86,6 +87,7 @@ def cases_of(options: ExperimentOptions, folder: Path) -> Sequence[Case]:
         *board_cases(options),
         *guess_cases(nominal_rig()),
         *(trained_cases(nominal_rig(), folder) if trains(options) else ()),
+        *convergence_cases(nominal_rig()),
         *distance_cases(),
         *([] if options.is_quick else [*preparation_cases(), *colour_cases()]),
     ]

@@ -18,7 +18,7 @@ from binocal.result import StereoCalibration
 from binocal.uncertainty.depth import MATCHING_PX
 from binocal.uncertainty.maps import RangeMap, range_map
 from binocal.validation.residuals import corner_residuals, solved_detections
-from binocal.values import with_sigma
+from binocal.values import counted, with_sigma
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,7 +118,7 @@ def calibration_html(calibration: StereoCalibration) -> str:
     for side, camera in (("left", rig.left), ("right", rig.right)):
         fx = with_sigma(float(camera.parameters[0]), sigma.get(f"{side}.fx", float("nan")))
         rows.append((f"{side} camera", f"{camera.model}, {camera.size_wh[0]} x {camera.size_wh[1]} px, fx {fx} px"))
-    rows.append(("corners", f"RMS {calibration.rms.all_px:.3f} px, {len(calibration.views)} views"))
+    rows.append(("corners", f"RMS {calibration.rms.all_px:.3f} px, {counted(len(calibration.views), 'view')}"))
     table = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in rows)
     points = "".join(f"<li>{html.escape(point)}</li>" for point in headline.points)
     figures = "".join(_coloured(figure.svg) for figure in _html_figures(calibration, ranges))

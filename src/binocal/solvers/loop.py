@@ -9,6 +9,9 @@ and work on a batch of rigs.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -20,6 +23,20 @@ from binocal.solvers.arrays import choose_rigs
 from binocal.solvers.loop_state import Action, Controller, LoopState, Outcome
 from binocal.solvers.problem import E, Problem, Q, S
 from binocal.solvers.rules import FAR, Rules, cost_under
+
+Listener = Callable[[Any, LoopState[Any, Any, Any], int], None]
+"""What is told of every iteration: the problem, the state after it, and its number; 0 is the start of a loop."""
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
+
+
+@contextmanager
+def listening(listener: Listener) -> Iterator[None]:
+    """Within it every loop of this thread tells the listener of its iterations; what comes out is the same."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
 
 
 @runtime_checkable
@@ -81,7 +98,9 @@ def run(
     watch: Watch,
 ) -> LoopState[E, Q, S]:
     """The loop itself: iterations of a controller until the watch ends them."""
-    memory = controller.start(state.scale_px.shape)
+    memory, listener, n_done = controller.start(state.scale_px.shape), _listener.get(), 0
+    if listener is not None:
+        listener(problem, state, n_done)
     while not watch.is_over(state):
         action, memory = controller.choose(problem, state, memory)
         step = rules.propose(problem, state, action, kernel)
@@ -90,6 +109,9 @@ def run(
         outcome = iterate(problem, state, action, step, kernel, rules, watch.is_running)
         state = rules.next_state(problem, state, outcome, kernel, watch.is_running)
         watch.record(state, outcome)
+        n_done += 1
+        if listener is not None:
+            listener(problem, state, n_done)
     return state
 
 

@@ -17,7 +17,7 @@ Dataset = Annotated[
     typer.Option(
         "--dataset",
         help="Pairs and cameras of a data set as it is unpacked, in place of --left and --right: kitti:PATH, cityscapes:PATH, "
-        "euroc:PATH, middlebury:PATH.",
+        "euroc:PATH, middlebury:PATH; or folder:PATH with --rig.",
         metavar="KIND:PATH",
     ),
 ]

@@ -10,6 +10,7 @@ import typer
 from binocal.cli.arguments import one_of, parse_board
 from binocal.cli.exits import FINE
 from binocal.cli.options import BOARD_HELP, Force, Json, Seed, Threads, app, finite, present
+from binocal.values import counted
 
 MOST_ABERRATION_PX = 20.0
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
@@ -113,7 +114,7 @@ def simulate(
             truth = verbs.simulate(setup.rig, parsed, pairs, output, options, force=force, progress=progress)
         else:
             truth = verbs.simulate_scene(setup.rig, str(scene), pairs, output, options, force=force, progress=progress)
-    text = f"{len(truth.names)} pairs and truth.json in {output}"
+    text = f"{counted(len(truth.names), 'pair')} and truth.json in {output}"
     present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
     return FINE
 
@@ -158,8 +159,6 @@ def _simulate_turning(
         raise typer.BadParameter(f"--rig {TURNING} shows a rectangle; leave out --board and --scene.")
     check_output_folder(output, force=force)
     truth = verbs.simulate_turning_cameras(pairs, output, seed=seed, force=force)
-    text = (
-        f"corners.npz of {len(truth.names)} pairs, rig.json from before the cameras turned, and truth.json in {output}"
-    )
+    text = f"corners.npz of {counted(len(truth.names), 'pair')}, rig.json from before the cameras turned, and truth.json in {output}"
     present(rig_json.truth_document(truth) | {"output": str(output)}, text, json)
     return FINE
