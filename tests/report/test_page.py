@@ -33,7 +33,9 @@ from binocal.formats.detections_npz import write_detections
 from binocal.formats.rig_json import read_calibration, write_calibration
 from binocal.geometry import SE3, so3
 from binocal.report import printing
+from binocal.report.contents import ReportContents
 from binocal.report.headline import headline_of
+from binocal.report.plan_sections import next_section
 from binocal.report.svg import figure_svg, themed
 from binocal.requirements import parse_requirement
 from binocal.result import Covariance
@@ -177,6 +179,11 @@ def test_depth_that_is_known_badly_somewhere_stands_in_the_first_line(folder, un
     both = headline_of(unsure, (kept,), (), at_boards)
     assert both.sentence.endswith(f"as its model cannot, and depth is uncertain by up to {percent} % (95 %).")
     assert "Nothing was checked anew" in headline_of(unsure, (), (), at_boards).points[0]
+    plans = reporting._usual_plan(unsure, ReportRequest(), BOARD)
+    steps = next_section(ReportContents("rig.json", unsure, plans=plans, at_boards=at_boards)).steps
+    assert re.match(r"Add the 5 views drawn below: the error of depth at its worst place, [\d.]+ % becomes", steps[0])
+    usual = next_section(ReportContents("rig.json", calibration, plans=plans))
+    assert len(usual.steps) == len(steps) - 1
 
 
 def test_corners_beside_that_the_rig_was_not_made_from_come_first(folder, tmp_path, undrawn):

@@ -49,7 +49,7 @@ def headline_of(
     warnings = by_weight(findings)
     is_grave = bool(warnings) and warnings[0].code in GRAVE
     depth = depth_sentence(calibration, at_boards)
-    poor = _poor_depth(at_boards)
+    poor = poor_depth(at_boards)
     titles = list(dict.fromkeys(_title(found) for found in warnings))
     outcomes = [v.outcome for v in verdicts]
     n = len(verdicts)
@@ -114,7 +114,7 @@ def depth_sentence(calibration: StereoCalibration, at_boards: RangeMap | None) -
     )
 
 
-def _poor_depth(at_boards: RangeMap | None) -> str:
+def poor_depth(at_boards: RangeMap | None) -> str:
     """What is to be said first of depth that is known badly somewhere; empty where it is known well all over."""
     if at_boards is None or not at_boards.field.is_common.any():
         return ""
