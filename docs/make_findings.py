@@ -82,7 +82,7 @@ EXPLANATIONS = {
     "rows-off": """
         A rig that states no standard deviations, such as one of OpenCV's files, cannot be compared with new images in their
         units. What the rectified rows of all views are off by alike (a constant and a slope along both axes of the image) can
-        be told from what differs between the views: it is the rig's own error, whatever the noise. It is named where chance
+        be separated from what differs between the views: it is the rig's own error, whatever the noise. It is named where chance
         makes it once in ten thousand times or less, and where it is larger than 0.1 px and than everything else in the rows.""",
     "rig-disagrees": """
         New images of a board are solved with the rig as a wide prior, and what they say is compared with the rig in units of
