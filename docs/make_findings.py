@@ -130,6 +130,16 @@ EXPLANATIONS = {
     "board-in-too-few-pairs": """
         A pair counts if both images show the board; three are needed. The message says in how many images of each camera it
         was found, and the commonest reason why it was not in the others.""",
+    "several-boards": """
+        In half of the images or more, more than one chessboard is seen and nothing says which is meant. `binocal calibrate` and
+        `binocal evaluate` then take every board of the SPEC for a view of its own; this refusal is what `binocal.detect_pairs`
+        and the other verbs say, which are about one board. With fewer such images, those alone are left out: another board may
+        stand about.""",
+    "boards-not-paired": """
+        Each camera's boards give its lens and every board's pose. A pair of boards then proposes where the right camera stands,
+        and is believed if that puts three boards or more of the left images where the right ones show boards of their SPEC, and
+        no other proposal matches more than six tenths as many. Boards that hang in an even row, tilted alike, match shifted by
+        one as well, and a rig from such pairs would be wrong without any sign of it.""",
     "parameters-undetermined": """
         The normal equations are singular: some combination of parameters changes nothing that the corners show. The sentence
         names the parameters that take the largest part in it.""",
@@ -321,12 +331,15 @@ EXPLANATIONS = {
         wrong leaves nothing: rows stay equal, and this cannot tell.""",
     "pairs-contradict": """
         Every pair of a rig shows the same pose. Where half of the pairs or more do not fit with the others, nothing tells which
-        are right. Where each pair fits the cameras with a pose of its own, and together they leave what other cameras would, the rig
-        was knocked on the way: `binocal check --stream` says when.""",
+        are right. Where each pair fits the cameras with a pose of its own, and no pose fits all (own poses would take away 80 % of
+        the squared residuals, and 0.3 px), or where two and more pairs that do not fit with the others agree on another turn, the rig
+        was knocked on the way, it flexes, or its cameras do not expose together. `recalibrate` and `check` refuse such pairs alike:
+        any one pose would be a mean of several. `binocal check --stream` says when the rig turned, and by how much.""",
     "pairs-left-out": """
         A pair is left out where an image shows nothing or is blurred, where less than half as many of its matches fit as of all
-        pairs (its images are not of one moment), or where its points lie behind the cameras (its images were exchanged). The
-        result is that of the other pairs.""",
+        pairs (its images are not of one moment, or the rig was knocked before or after it), or where its points lie behind the cameras
+        (its images were exchanged). The result is that of the other pairs. Several that agree on another turn are
+        [refused](pairs-contradict.md).""",
     "pairs-disagree": """
         Of several pairs one pose is asked for. To each is then given the pose that fits it alone, and what that takes off the
         squared residuals is compared with what errors of matches explain, alike as they are within a region of an image. A

@@ -93,7 +93,7 @@ def test_a_rig_that_is_turned_on_the_way(tmp_path, monkeypatch):
 
 def test_a_stream_that_tells_nothing_is_refused(tmp_path, monkeypatch):
     give(monkeypatch, lambda cameras, pair: matches_of_street(cameras, pair, 10))
-    with pytest.raises(DegenerateGeometryError, match="0 pairs or groups") as caught:
+    with pytest.raises(DegenerateGeometryError, match="0 of the stream's pairs") as caught:
         stream.check_stream(street_source(tmp_path, 4))
     assert list(caught.value.rejected) == ["0", "1", "2", "3"]
 

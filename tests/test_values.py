@@ -39,6 +39,7 @@ def values():
         "calibration": calibration(),
         "prior": binocal.RigPrior.from_calibration(calibration(), held=("left",)),
         "board": parse_board("chessboard:9x6:30mm"),
+        "boards": binocal.BoardSet.from_specs(["chessboard:9x6:30mm", "chessboard:7x5:30mm"]),
         "found": not_found(4, "nothing"),
         "finding": finding("focal-length-uncertain", camera="left", sigma_percent=1.2),
         "rectification": binocal.rectify(table2_rig()),

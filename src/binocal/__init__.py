@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from binocal.app.natural import NaturalOptions
     from binocal.app.stream import StreamOptions
     from binocal.app.without_board import check, check_stream, recalibrate
-    from binocal.boards import Board, load_board
+    from binocal.boards import Board, BoardSet, load_board
     from binocal.calibrators import CalibrationRequest, calibrate
     from binocal.cameras import Camera, StereoRig
     from binocal.datasets import open_dataset
-    from binocal.detection import detect, detect_pairs
+    from binocal.detection import detect, detect_boards, detect_pairs
     from binocal.errors import (
         BinocalError,
         CalibrationError,
@@ -52,10 +52,10 @@ _NAMES_IN = {
     "binocal.app.stream": ("StreamOptions",),
     "binocal.app.without_board": ("check", "check_stream", "recalibrate"),
     "binocal.datasets": ("open_dataset",),
-    "binocal.boards": ("Board", "load_board"),
+    "binocal.boards": ("Board", "BoardSet", "load_board"),
     "binocal.calibrators": ("CalibrationRequest", "calibrate"),
     "binocal.cameras": ("Camera", "StereoRig"),
-    "binocal.detection": ("detect", "detect_pairs"),
+    "binocal.detection": ("detect", "detect_boards", "detect_pairs"),
     "binocal.evidence": ("Detections",),
     "binocal.errors": (
         "BinocalError",
@@ -95,6 +95,7 @@ __all__ = [
     "SE3",
     "BinocalError",
     "Board",
+    "BoardSet",
     "CalibrationError",
     "CalibrationRequest",
     "Camera",
@@ -129,6 +130,7 @@ __all__ = [
     "check",
     "check_stream",
     "detect",
+    "detect_boards",
     "detect_pairs",
     "load_board",
     "open_dataset",

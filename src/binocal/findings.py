@@ -365,6 +365,17 @@ _KINDS = (
         "({n_needed} needed); where it was not: {reason} ({n_reason} {n_reason:image|images}, first {first}); {remedy}",
         "take pairs in which both cameras see the whole board, sharp and well lit", DetectionError,
     ),
+    FindingKind(
+        "several-boards", _R, "The images show several boards",
+        "{n_several} of {n_images} images ({n_pairs} pairs) show more than one board, and one {board} was looked for; {remedy}.",
+        "show one at a time, or let `binocal calibrate` or binocal.detect_boards find every one of them", DetectionError,
+    ),
+    FindingKind(
+        "boards-not-paired", _R, "Boards that look alike cannot be paired between the cameras",
+        "{n_left} boards in the left and {n_right} in the right images ({n_pairs} pairs) are {board}, and which of them are one is not "
+        "clear: {reason}; {remedy}.",
+        "show boards of different sizes, hang them unevenly and tilted differently, or give more pairs", DetectionError,
+    ),
     # --- views that no rig can be solved from
     FindingKind(
         "too-few-views", _R, "Too few usable views",

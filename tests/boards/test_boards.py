@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from binocal.boards import Board, format_board, load_board, parse_board
 from binocal.boards.dictionaries import DICTIONARY_SIZES
+from binocal.boards.target_file import format_kalibr_target
 from binocal.errors import FormatError
 
 
@@ -265,3 +266,69 @@ def test_every_board_is_said_by_its_spec(board):
     assert said.pitch_m == pytest.approx(board.pitch_m, rel=1e-9) and said.marker_m == pytest.approx(
         board.marker_m, rel=1e-9
     )
+
+
+MARKED = [
+    "chessboard:14x9:12.1mm:marked",
+    "chessboard:9x6:20mm:discs=1,1,3,2",
+    "chessboard:9x6:20mm:swapped=2,1",
+    "chessboard:4x3:marked:swapped=1,1",
+]
+
+
+@pytest.mark.parametrize("spec", MARKED)
+def test_marked_squares_come_back_out_of_their_specs(spec):
+    board = parse_board(spec)
+    assert format_board(board) == spec and board.is_marked and board.allows_partial
+
+
+def test_a_marked_board_has_the_discs_of_opencvs_documentation():
+    assert parse_board("chessboard:14x9:12.1mm:marked").discs == ((7, 4), (7, 5), (8, 5))
+    assert not parse_board("chessboard:14x9:12.1mm").allows_partial
+
+
+def test_no_edges_cross_at_the_corners_of_a_square_of_the_other_colour():
+    is_printed = parse_board("chessboard:9x6:20mm:swapped=2,1").is_printed.reshape(6, 9)
+    assert np.argwhere(~is_printed).tolist() == [[0, 1], [0, 2], [1, 1], [1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("spec", "problem"),
+    [
+        ("chessboard:9x6:20mm:markd", "'markd' is no mark of a chessboard; write marked, discs="),
+        ("chessboard:9x6:20mm:discs=1,1,2", "needs a column and a row for each square"),
+        ("chessboard:9x6:20mm:swapped=0,1", "square 0,1 cannot be marked: column 1 to 8 and row 1 to 5 can"),
+        ("chessboard:9x6:20mm:swapped=1,6", "square 1,6 cannot be marked"),
+        ("chessboard:9x6:20mm:discs=1,1:swapped=1,1", "square 1,1 is marked twice"),
+        ("chessboard:9x6:20mm:discs=1,1:marked", "discs are given twice"),
+        ("chessboard:3x3:20mm:marked", "at least 4x3 inner corners; got 3x3"),
+        ("circles:9x6:20mm:marked", "too many fields"),
+    ],
+)
+def test_a_mark_that_no_board_can_have_is_named(spec, problem):
+    with pytest.raises(ValueError, match=problem):
+        parse_board(spec)
+
+
+def test_only_chessboards_have_marked_squares():
+    with pytest.raises(ValueError, match="a circle grid has no marked ones"):
+        replace(parse_board("circles:9x6:20mm"), discs=((1, 1),))
+    with pytest.raises(ValueError, match="at most 64 marked squares"):
+        replace(parse_board("chessboard:99x6:20mm"), discs=tuple((c, 1) for c in range(1, 66)))
+    with pytest.raises(ValueError, match="Kalibr knows no marked chessboards"):
+        format_kalibr_target(parse_board("chessboard:9x6:20mm:marked"))
+
+
+def test_circle_styles_are_read_and_written():
+    for spec in ("circles:11x9:30mm:large", "circles:11x9:hollow", "acircles:4x11:20mm:rings", "circles:10x10:30mm"):
+        assert format_board(parse_board(spec)) == spec
+    board = parse_board("circles:11x9:30mm:large")
+    assert board.allows_partial and not parse_board("circles:11x9:30mm:rings").allows_partial
+    places = board.object_points_m[list(board.marked_points), :2] / 0.03
+    assert np.allclose(places - places[0], [[0, 0], [2, 0], [0, 3]]) and np.allclose(places[0], [4, 2])
+    with pytest.raises(ValueError, match="at least 3 columns and 4 rows"):
+        parse_board("circles:9x3:30mm:large")
+    with pytest.raises(ValueError, match="kind circles"):
+        parse_board("acircles:4x11:20mm:hollow")
+    with pytest.raises(ValueError, match="plain discs alone"):
+        format_kalibr_target(board)

@@ -51,6 +51,6 @@ def test_a_rate_is_told_where_the_stream_is_long_enough_and_has_times():
 
 
 def test_too_few_measurements_are_refused():
-    with pytest.raises(DegenerateGeometryError, match="2 pairs or groups") as caught:
+    with pytest.raises(DegenerateGeometryError, match="2 of the stream's pairs") as caught:
         track_drift(turns(np.zeros((2, 3))))
     assert caught.value.findings[0].code == "stream-too-few"

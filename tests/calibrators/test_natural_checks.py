@@ -197,6 +197,34 @@ def test_a_rig_knocked_on_the_way_is_no_other_camera(data_dir):
         calibrate_from_matches(matches, NaturalRequest(known, rig.T_right_left, rig.baseline_m))
 
 
+def knocked(deg: float, n_before: int, n_after: int) -> PointMatches:
+    """Pairs of a rig whose right camera is turned by so much pitch between two of them."""
+    rng = np.random.default_rng(12)
+    turned = SE3(so3.exp(np.radians([deg, 0.0, 0.0])) @ T_RIGHT_LEFT.R, T_RIGHT_LEFT.t)
+    rigs = [StereoRig(*cameras(), pose) for pose in [T_RIGHT_LEFT] * n_before + [turned] * n_after]
+    parts = [simulate_matches(rig, 200, rng, noise_px=0.1).matches for rig in rigs]
+    return PointMatches.joined([replace(part, names=(str(k),)) for k, part in enumerate(parts)])
+
+
+@pytest.mark.parametrize(
+    ("deg", "n_before", "n_after", "words"),
+    [
+        (0.1, 2, 2, "4 of 4 pairs do not fit together: each fits these cameras with a pose of its own"),
+        (0.3, 3, 2, "2 of 5 pairs do not fit together: 3, 4 show a right camera that is turned by 0.3 deg"),
+        (2.0, 2, 2, "2 of 4 pairs do not fit together: .* is turned by 2 deg .*: the rig was knocked on the way"),
+        (2.0, 2, 3, "2 of 5 pairs do not fit together: 0, 1 show"),
+    ],
+)
+def test_a_rig_knocked_half_way_is_refused(deg, n_before, n_after, words):
+    with pytest.raises(InconsistentViewsError, match=words):
+        solve(knocked(deg, n_before, n_after))
+
+
+def test_a_single_pair_of_another_pose_is_left_out():
+    (said,) = solve(knocked(2.0, 3, 1)).findings
+    assert said.code == "pairs-left-out" and "or the rig was knocked" in said.text
+
+
 def test_pairs_of_a_rig_that_flexes_disagree():
     """The right camera of every other pair is turned by 0.05 deg of pitch: 0.3 px. Of a stiff rig nothing is said."""
     rng = np.random.default_rng(11)

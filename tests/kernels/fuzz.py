@@ -15,6 +15,7 @@ from binocal import kernels
 from binocal.kernels import (
     _kernel,
     corner_fits,
+    ellipse_fits,
     image_lens,
     images,
     library_words,
@@ -289,6 +290,13 @@ def fit_corners(f: Fuzz) -> None:
     corner_fits.fit_corners(image, f.places(n), reach, strip, board=board)
 
 
+def fit_ellipses(f: Fuzz) -> None:
+    n = f.size(9)
+    image = f.image((np.uint8, np.uint16, np.float32))
+    axes, room = np.abs(f.floats(n, 2, scale=6.0)), [np.abs(f.floats(n, scale=8.0)) for _ in range(2)]
+    ellipse_fits.fit_ellipses(image, f.places(n), axes, f.floats(n), *room)
+
+
 def fit_image_lens(f: Fuzz) -> None:
     n, kind = f.size(20), f.rng.random(2) < 0.5
     options = image_lens.LensFitOptions(abs(float(f.floats(1)[0])), bool(kind[0]), bool(kind[1]))
@@ -303,7 +311,7 @@ def pool_corners(f: Fuzz) -> None:
     fits = corner_fits.CornerFits(
         f.floats(n, corner_fits.CORNER_FIT.itemsize // 8, scale=5.0).view(corner_fits.CORNER_FIT)[:, 0]
     )
-    corner_fits.pool_corners(fits)
+    corner_fits.pool_corners(fits, are_corners=bool(f.rng.random() < 0.5))
 
 
 def rectified_map(f: Fuzz) -> None:
@@ -363,7 +371,7 @@ FUNCTIONS = [
     accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
     compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
     follow_edges, link_corners, find_faces, read_cells, vote_on_tags, predict_places, predict_each, grow_lattice,
-    grow_groups, fit_corners, fit_image_lens, pool_corners, rectified_map,
+    grow_groups, fit_corners, fit_ellipses, fit_image_lens, pool_corners, rectified_map,
     reduce_stereo, solve_definite, caught_words, match_templates,
 ]  # fmt: skip
 

@@ -1,5 +1,6 @@
 """The compiled corner fit against a plain statement of the same model, and its guards."""
 
+import cv2
 import numpy as np
 import plain_corner_fit as plain
 import pytest
@@ -101,6 +102,16 @@ def test_ink_that_is_clipped_is_fitted_like_paper():
         assert np.abs(fit.points_px[0] - p[:2]).max() < 0.012  # 3 sigma
         assert np.abs(fit.points_px[0] - fits[0].points_px[0]).max() < 5e-4
         assert 0.4 < fit.clipped_share[0] < 0.7
+
+
+def test_sharpened_paper_beside_crushed_black_is_fitted_with_the_least_blur():
+    """Edges sharper than the least blur: a step that counts on less never ended."""
+    image, p = make_corner(blur_px=0.5, levels=(45, 75), noise_dn=1.5)
+    sharp = image + 2 * (image - cv2.GaussianBlur(image, (0, 0), 1.0))
+    for strip in (np.inf, 4.0):
+        fit = fit_one(np.rint(np.clip(sharp - 10, 0, 255)).astype(np.uint8), strip=strip)
+        assert np.abs(fit.points_px[0] - p[:2]).max() < 0.02  # measured 0.007
+        assert fit.blur_px[0].min() == pytest.approx(0.25, abs=1e-3) and fit.n_evaluations[0] < 20
 
 
 def test_the_top_of_sixteen_bits_is_where_many_pixels_are():

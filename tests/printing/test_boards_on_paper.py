@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zlib
 
 import cv2
 import numpy as np
@@ -13,11 +14,13 @@ from binocal.app.board import PrintRequest, lay_out_pages, print_board
 from binocal.boards import Board, load_board, parse_board
 from binocal.boards.measured import measured_box_m
 from binocal.printing.board_shapes import PrintStyle
-from binocal.printing.drawing import Page
+from binocal.printing.drawing import Disc, Page
+from binocal.printing.dxf import dxf_text
 from binocal.printing.paper import PAPERS, parse_paper, smallest_paper
 from binocal.printing.pdf import pdf_content
 from binocal.printing.png import png_content
 from binocal.printing.sheet import SheetOptions, sheet_size_mm
+from binocal.printing.svg import svg_text
 from binocal.simulation.layout import printed_extent_m
 
 TRUE_TO_MM = 0.01  # measured: at most .0013
@@ -169,6 +172,31 @@ def test_a_dxf_holds_every_square_as_a_closed_polyline(tmp_path):
     assert np.ptp(sheet, axis=0) == pytest.approx(printed.page_mm, abs=1e-5)
 
 
+def test_opencv_finds_the_marks_of_a_printed_chessboard():
+    _, page = small_page("chessboard:8x5:6mm:marked")
+    image = as_photographed(png_content(page, 300.0))
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (8, 5), cv2.CALIB_CB_MARKER)
+    assert found and np.count_nonzero(meta > 2) == 3
+    grid = corners.reshape(*meta.shape, 2)
+    for value, is_black in ((3, False), (4, True)):  # of squares with a white disc, and with a black one
+        centres = np.array([grid[r : r + 2, c : c + 2].mean(axis=(0, 1)) for r, c in np.argwhere(meta == value)])
+        theirs = (centres + 0.5) * INCH / 300 - page.groups[0].shift
+        discs = [shape for shape in page.groups[0].shapes if isinstance(shape, Disc) and shape.is_black == is_black]
+        away = theirs[:, None] - np.array([[disc.x, disc.y] for disc in discs])
+        assert np.linalg.norm(away, axis=-1).min(axis=1).max() < 0.02 and len(theirs) == len(discs)
+
+
+def test_white_discs_are_white_in_every_kind_of_file(tmp_path):
+    board = parse_board("chessboard:8x5:20mm:marked")
+    print_board(board, tmp_path / "b.svg")
+    assert (tmp_path / "b.svg").read_text().count(' r="3.4" fill="#fff"/>') == 2
+    print_board(board, tmp_path / "b.dxf")
+    assert (tmp_path / "b.dxf").read_text().count("CIRCLE") == 3
+    _, page = small_page("chessboard:8x5:6mm:marked")
+    stream = pdf_content([page], "").split(b"stream\n")[1].removesuffix(b"\nend")
+    assert zlib.decompress(stream).count(b"1 g ") == 2
+
+
 def test_a_dxf_of_circles_has_circles(tmp_path):
     print_board(parse_board("circles:4x3:20mm"), tmp_path / "b.dxf")
     circles = re.findall(r"CIRCLE\n8\nBOARD\n10\n(.*)\n20\n(.*)\n30\n.*\n40\n(.*)\n", (tmp_path / "b.dxf").read_text())
@@ -287,3 +315,21 @@ def test_papers():
     for text in ("A9", "5x5mm", "10x10", "9000x100mm", "x"):
         with pytest.raises(ValueError, match="page"):
             parse_paper(text)
+
+
+def test_rings_are_printed_with_their_holes():
+    pdfium = pytest.importorskip("pypdfium2", reason="pypdfium2 rasterises PDF files; it is in the extra test")
+    board, page = small_page("circles:7x5:6mm:hollow")
+    png = cv2.imdecode(np.frombuffer(png_content(page, 300.0), np.uint8), cv2.IMREAD_GRAYSCALE)
+    pdf = (
+        pdfium.PdfDocument(pdf_content([page], "rings"))[0].render(scale=300 / 72, grayscale=True).to_numpy().squeeze()
+    )
+    for image in (png, pdf):
+        found = binocal.detect(cv2.GaussianBlur(image, (0, 0), 1.0), board)
+        assert (
+            found.is_seen.all() and np.abs((found.points_px + 0.5) * INCH / 300 - points_mm(board, page)).max() < 0.1
+        )  # pdfium stretches a page to whole pixels
+        grey = image[tuple(np.rint(found.points_px).astype(int).T[::-1])]
+        assert np.flatnonzero(grey > 128).tolist() == sorted(board.marked_points)
+    assert svg_text(page, "rings").count('fill="none" stroke="#000"') == 3
+    assert dxf_text(page).count("CIRCLE") == 35 + 3

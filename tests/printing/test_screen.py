@@ -65,6 +65,12 @@ def test_without_a_diagonal_the_scale_is_unknown():
     assert not parse_board(shown.spec).is_metric and shown.template.startswith(f"charuco:5x4:{{{shown.pitch_px}}}:{{")
 
 
+def test_a_screens_board_keeps_its_marks():
+    shown = fit_board(parse_board("chessboard:9x6:marked"), Screen((640, 480), None))
+    assert shown.spec == "chessboard:9x6:marked"
+    assert shown.template == f"chessboard:9x6:{{{shown.pitch_px}}}:marked"
+
+
 def test_a_screen_of_too_few_pixels_is_refused():
     with pytest.raises(ValueError, match="99 x 88 pixels are too few"):
         fit_board(parse_board("chessboard:90x60"), Screen((99, 88), None))

@@ -85,3 +85,11 @@ def test_discs_lie_on_the_boards_points():
 def test_touching_discs_are_refused():
     with pytest.raises(ValueError, match="circle_diameter_ratio"):
         disc_print(Board("acircles", 4, 11, circle_diameter_ratio=0.8))
+
+
+def test_marked_circles_are_larger_or_hollow():
+    discs = disc_print(parse_board("circles:7x6:30mm:large"))
+    assert np.argwhere(discs.outer > 0.3).tolist() == [[1, 2], [1, 4], [4, 2]] and np.allclose(discs.outer.max(), 0.35)
+    discs = disc_print(parse_board("circles:7x6:30mm:hollow"))
+    assert np.argwhere(discs.hole > 0).tolist() == [[1, 2], [1, 4], [4, 2]] and np.allclose(discs.outer, 0.25)
+    assert (disc_print(parse_board("acircles:4x9:30mm:rings")).hole > 0).all()

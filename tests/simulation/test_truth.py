@@ -23,7 +23,11 @@ def _ramp(distance):
 def _paper(board, x, y):
     """Share of paper, apart from the renderer: product of two square waves, or distance from the nearest centre."""
     if board.kind == "chessboard":
-        return 0.5 - 0.5 * _ramp(np.abs((x + 0.5) % 2 - 1) - 0.5) * _ramp(np.abs((y + 0.5) % 2 - 1) - 0.5)
+        paper = 0.5 - 0.5 * _ramp(np.abs((x + 0.5) % 2 - 1) - 0.5) * _ramp(np.abs((y + 0.5) % 2 - 1) - 0.5)
+        for column, row in board.discs:
+            inside = 0.5 - 0.5 * _ramp(np.hypot(x - column + 0.5, y - row + 0.5) - 0.17)
+            paper = paper + inside * ((column + row) % 2 == 0) - inside * ((column + row) % 2 == 1)
+        return paper
     centres = board.object_points_m[:, :2] / board.pitch_m
     near = np.argsort(np.hypot(*(centres - [np.median(x), np.median(y)]).T))[:4]
     return 0.5 + 0.5 * _ramp(np.min([np.hypot(x - a, y - b) for a, b in centres[near]], axis=0) - 0.25 * np.sqrt(2))
@@ -91,6 +95,10 @@ def test_grey_values_around_a_disc_and_under_a_slope_of_light_are_those_of_brute
     grey, _ = _compare(rig, CIRCLES, disc, rim, 0.6, 32)
     assert grey < 0.1  # measured 0.03; a single edge says nothing about a shift along it
     chess = sample_scene(rig, CHESS, 1, rng, PoseOptions(margin_px=12)).T_left_board[0]
+    marked = parse_board("chessboard:9x6:30mm:discs=3,3,4,3")
+    for middle in ([2.5 - 0.17, 2.5, 0], [3.5, 2.5 + 0.17, 0]):  # rims of a white and a black one
+        grey, _ = _compare(rig, marked, chess, marked.pitch_m * np.array(middle), 0.6, 24)
+        assert grey < 0.2  # measured 0.11: within the first blur the rim is taken as straight
     grey, shift = _compare(
         rig, CHESS, chess, CHESS.object_points_m[20], 0.8, 24, shading=(0.6, -0.4), extent=(-1, -1, 9, 6)
     )

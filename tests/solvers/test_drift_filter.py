@@ -56,6 +56,17 @@ def test_noise_is_a_t_of_a_scale_that_is_roughly_known():
         assert np.quantile(np.abs(mixed), share) == pytest.approx(np.quantile(np.abs(drawn), share), rel=0.1)
 
 
+def test_one_measurement_however_far_off_is_no_jump_yet():
+    """The second tells it, with its whole size; of an outlier nothing is told."""
+    sigma = np.full((6, 1), 0.01)
+    for after, is_jump in ((2.0, True), (0.0, False)):
+        states = filtered(np.array([[0.0], [0.0], [0.0], [2.0], [after], [after]]), sigma)
+        odds = [float(state.log_odds[0]) for state in states]
+        assert odds[3] < ALARM_LOG_ODDS and (odds[4] > ALARM_LOG_ODDS) == is_jump
+        assert abs(states[4].estimate[0][0, 0] - after) < 0.05
+        assert not is_jump or states[4].last_jump()[0] == 3
+
+
 def test_errors_are_as_stated_and_near_those_of_who_knows_the_jumps():
     series = simulate_drift(DriftFamily(), 700, 60, np.random.default_rng(2))
     level, sigma = levels(filtered(series.measured_deg, series.stated_deg))

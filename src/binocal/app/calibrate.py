@@ -15,15 +15,17 @@ import numpy as np
 
 from binocal.app.corners import explained, find_corners
 from binocal.app.measured import checked_board, scale_as_measured
-from binocal.boards import Board, parse_board
+from binocal.boards import Board, BoardSet, parse_board
 from binocal.calibrators.base import MIN_VIEWS, CalibrationRequest
 from binocal.errors import DataError
 from binocal.evidence import Detections
-from binocal.formats import rig_json
 from binocal.result import BoardShape, StereoCalibration
 from binocal.validation.overview import CheckLine
 
 SAME_BOARD_SHARE = 0.05  # of the board's size; prints are off by 1 %, bows by 2 %
+_OF_ONE_BOARD = (
+    "the images are of several boards: what was measured of one board does not hold for the others; leave it out."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +67,7 @@ def with_checks(run: CalibrationRun, request: CalibrationRequest | None = None) 
 def calibrate_images(
     left: str,
     right: str,
-    board: Board,
+    board: Board | BoardSet,
     request: CalibrationRequest | None = None,
     *,
     calibrator: str = "drl",
@@ -75,6 +77,8 @@ def calibrate_images(
     measured_m: tuple[float, float] | None = None,
 ) -> CalibrationRun:
     """Calibrate from the images that two globs or folders name; ``preprocess`` strengthens their edges first.
+
+    Images may show several boards, of one SPEC or of the :class:`binocal.BoardSet`: each is a view of its own, so that one pair may do.
 
     ``channel`` is that of colour images whose corners are measured: grey, red, green or blue.
 
@@ -89,19 +93,24 @@ def calibrate_images(
     from binocal.images.preprocessing import Preparation
 
     request = request or CalibrationRequest()
-    as_drawn = board
+    boards = board if isinstance(board, BoardSet) else BoardSet((board,))
+    as_drawn = boards.boards[0]
+    if len(boards.boards) > 1 and (measured_board is not None or measured_m is not None):
+        raise DataError(_OF_ONE_BOARD)
     if measured_m is not None:
-        board, _ = checked_board(board, measured_m)
+        boards = BoardSet((checked_board(as_drawn, measured_m)[0],))
     started = time.perf_counter()
     preparation = Preparation(channel, preprocess)
     with ThreadPoolExecutor(1) as aside:
         # What the solver needs is loaded while the first images are, of which one core is enough.
         loading = aside.submit(_load_calibrator, calibrator)
         found = find_corners(
-            left, right, board, preparation, request.progress, request.should_stop, least_pairs=MIN_VIEWS
+            left, right, boards, preparation, request.progress, request.should_stop, least_pairs=MIN_VIEWS
         )
         calibrate = loading.result()
-    detections = replace(found.detections, board_spec=rig_json.format_board(board))
+    detections = replace(found.detections, board_spec=boards.spec)
+    if detections.shots is not None and (measured_board is not None or measured_m is not None):
+        raise DataError(_OF_ONE_BOARD)
     if measured_board is not None:
         detections = _on_measured_board(detections, measured_board)
     measured: dict[str, Any] = {}
@@ -159,6 +168,8 @@ def calibrate_corners(
     if measured_m is not None:
         if not is_board or evidence.board_spec is None:
             raise DataError(f"{path} does not say which board its corners are of: --measured needs the board's SPEC.")
+        if evidence.shots is not None:
+            raise DataError(_OF_ONE_BOARD)
         evidence, measured = scale_as_measured(evidence, parse_board(evidence.board_spec), measured_m)
     loaded = time.perf_counter()
     inputs = {"input_sha256": {"corners": hashlib.sha256(Path(path).read_bytes()).hexdigest()}, **measured}

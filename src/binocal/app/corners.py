@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from binocal.boards import Board
-from binocal.errors import BinocalError, CalibrationError
+from binocal.boards import Board, BoardSet
+from binocal.cameras import StereoRig
+from binocal.datasets.folder import ImagePair
+from binocal.errors import BinocalError, CalibrationError, DetectionError
 from binocal.evidence import Detections
 from binocal.images.preprocessing import Preparation
 from binocal.progress import ProgressCallback, ShouldStop, stage_of
@@ -28,13 +31,17 @@ class FoundCorners:
 def find_corners(
     left: str,
     right: str,
-    board: Board,
+    board: Board | BoardSet,
     preparation: Preparation | None,
     progress: ProgressCallback | None,
     should_stop: ShouldStop | None,
     least_pairs: int = 0,
+    rig: StereoRig | None = None,
 ) -> FoundCorners:
     """The corners of all pairs that two globs or folders name, at least ``least_pairs`` of which both cameras must see.
+
+    Of several boards each is a view of its own (:mod:`binocal.app.several_boards`); so it is too where most images show more than one
+    chessboard of a single SPEC. ``rig`` tells which of them are one, where it is known.
 
     Raises:
         DataError: The images cannot be used; the error carries what was ignored before.
@@ -45,18 +52,40 @@ def find_corners(
 
     pairing = list_pairs(left, right)
     ignored = tuple((str(path), reason) for path, reason in pairing.ignored)
+    options = {
+        "progress": stage_of(progress, "finding corners"),
+        "should_stop": should_stop,
+        "preparation": preparation,
+    }
+    boards = board if isinstance(board, BoardSet) else BoardSet((board,))
+    first, *others = boards.boards
     with explained(ignored, ()):
-        found = detect_pairs(
-            pairing.pairs,
-            board,
-            progress=stage_of(progress, "finding corners"),
-            should_stop=should_stop,
-            preparation=preparation,
-            least_pairs=least_pairs,
-        )
+        if others:
+            return _find_several(pairing.pairs, boards, options, ignored, rig)
+        try:
+            found = detect_pairs(pairing.pairs, first, least_pairs=least_pairs, **options)
+        except DetectionError as error:
+            if not any(each.code == "several-boards" for each in error.findings):
+                raise
+            return _find_several(pairing.pairs, boards, options, ignored, rig)
     return FoundCorners(
         found.detections, tuple(found.rejected), ignored, (*pairing.notes, *found.notes), found.input_sha256
     )
+
+
+def _find_several(
+    pairs: Sequence[ImagePair],
+    boards: BoardSet,
+    options: Mapping[str, Any],
+    ignored: tuple[tuple[str, str], ...],
+    rig: StereoRig | None,
+) -> FoundCorners:
+    from binocal.app.several_boards import views_of_boards
+    from binocal.detection.several_pairs import detect_boards_in_pairs
+
+    found = detect_boards_in_pairs(pairs, boards, **options)
+    detections, notes = views_of_boards(found, boards, rig)
+    return FoundCorners(detections, found.rejected, ignored, notes, found.input_sha256)
 
 
 def detect_corners(

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from binocal.app.corners import FoundCorners, find_corners
 from binocal.app.measured import checked_board, scale_as_measured
-from binocal.boards import Board, parse_board
+from binocal.boards import Board, BoardSet, parse_board
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
 from binocal.evidence import Detections
@@ -115,7 +115,7 @@ def evaluate_images(
     rig: StereoRig,
     left: str,
     right: str,
-    board: Board,
+    board: Board | BoardSet,
     *,
     calibration: StereoCalibration | None = None,
     measured_m: tuple[float, float] | None = None,
@@ -133,12 +133,17 @@ def evaluate_images(
         DataError: The images cannot be used, their size is not the rig's, the board lacks the length it needs, or they fit the rig
             only exchanged, mirrored, upside down or paired otherwise.
     """
-    as_drawn = board
+    boards = board if isinstance(board, BoardSet) else BoardSet((board,))
+    as_drawn = board = boards.boards[0]
     if measured_m is not None:
+        if len(boards.boards) > 1:
+            raise DataError("the images are of several boards: what was measured of one does not hold for the others.")
         board, _ = checked_board(board, measured_m)
+        boards = BoardSet((board,))
     if rig.is_metric and not board.is_metric:
         raise DataError("the rig is in metres: give the board's length a unit (such as 30mm) to compare with it.")
-    found = find_corners(left, right, board, None, progress, should_stop)
+    known = rig if rig.is_metric == board.is_metric else None
+    found = find_corners(left, right, boards, None, progress, should_stop, rig=known)
     notes = list(found.notes)
     detections, side_m = found.detections, _side_m(board)
     if measured_m is not None:
@@ -154,6 +159,8 @@ def evaluate_images(
                 f"{camera.size_wh[0]}x{camera.size_wh[1]}; use images of the size that was calibrated."
             )
     if board.is_metric and not rig.is_metric:
+        if len({each.pitch_m for each in boards.boards}) > 1:
+            raise DataError("the rig is in board pitches, and the boards have different ones; give one of them.")
         detections = replace(detections, object_points_m=detections.object_points_m / board.pitch_m, is_metric=False)
         side_m /= board.pitch_m
         notes.append("the rig is in board pitches: lengths are compared as if this board had calibrated it.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from binocal.boards import Board
+from binocal.boards import Board, BoardSet
 from binocal.cameras import StereoRig
 from binocal.evidence import Detections
 from binocal.metrics.image import PixelError
@@ -32,7 +32,7 @@ class NeedReport:
 
 
 def judge_calibration(
-    calibration: StereoCalibration, requirements: Sequence[Requirement], board: Board | None
+    calibration: StereoCalibration, requirements: Sequence[Requirement], board: Board | BoardSet | None
 ) -> NeedReport:
     """A calibration against requirements by what it states of itself; plans for ``board``, none without.
 
@@ -49,7 +49,7 @@ def judge_on_images(
     requirements: Sequence[Requirement],
     seen: tuple[Detections, PixelError],
     agreement: Agreement | None,
-    board: Board,
+    board: Board | BoardSet,
 ) -> NeedReport:
     """A rig against requirements on images that it has not seen: rows and reprojection as measured, the rest by its own covariance.
 
@@ -88,7 +88,10 @@ def judge_against_truth(
     return NeedReport(tuple(decide(need, true_figure(calibration, truth, need)) for need in requirements))
 
 
-def _plans(calibration: StereoCalibration, verdicts: Sequence[Verdict], board: Board | None) -> tuple[ViewPlan, ...]:
+def _plans(
+    calibration: StereoCalibration, verdicts: Sequence[Verdict], board: Board | BoardSet | None
+) -> tuple[ViewPlan, ...]:
+    board = board.boards[0] if isinstance(board, BoardSet) else board
     if board is None:
         return ()
     open_ones = [v for v in verdicts if v.outcome is not Outcome.PASS and not v.figure.is_impossible]

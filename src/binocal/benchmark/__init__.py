@@ -48,6 +48,12 @@ def _boards(**options: Any) -> dict[str, Any]:
     return run_marker_board_benchmark(**options)
 
 
+def _circles(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.circle_centres import run_circle_centres_benchmark
+
+    return run_circle_centres_benchmark(**options)
+
+
 def _drift(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.drift import run_drift_benchmark
 
@@ -135,6 +141,7 @@ def _uncertainty(**options: Any) -> dict[str, Any]:
 BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "agent": _agent,
     "boards": _boards,
+    "circles": _circles,
     "corners": _corners,
     "coverage": _coverage,
     "detection": _detection,

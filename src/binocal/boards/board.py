@@ -15,7 +15,8 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards.dictionaries import check_dictionary, check_tag_family
-from binocal.shapes import Float, Int
+from binocal.boards.marks import Squares, check_marks, format_marks, is_mark, parse_marks
+from binocal.shapes import Bool, Float, Int
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 _EXAMPLES = (
@@ -40,6 +41,15 @@ _NAMES = {
 }
 
 BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles"]
+CircleStyle = Literal["", "large", "hollow", "rings"]
+CIRCLE_STYLES = ("large", "hollow", "rings")
+MARKS = (
+    (0, 0),
+    (2, 0),
+    (0, 3),
+)  # columns and rows from the first: sides of 2, 3 and 1 steps, alike in no turn, mirror image or shear
+LARGE = 1.4  # a marked circle's diameter over the others'
+HOLE = 0.5  # a ring's inner diameter over its outer one
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +78,12 @@ class Board:
     """The lowest id. AprilGrid: that of the bottom-left tag, see :attr:`tag_ids`. ChArUco: that of the first marker."""
     circle_diameter_ratio: float = 0.5
     """Circle grids: diameter over the distance to the nearest neighbour; matters to rendering only."""
+    discs: Squares = ()
+    """Chessboard: squares (column, row) from the top-left one, (0, 0), with a disc of the other colour in the middle."""
+    swapped: Squares = ()
+    """Chessboard: squares that have the other colour."""
+    circle_style: CircleStyle = ""
+    """Circle grids: three circles about the middle larger ("large") or rings ("hollow"), all rings ("rings"), or plain."""
 
     def __post_init__(self) -> None:
         least = {"chessboard": 2, "charuco": 2, "aprilgrid": 1, "circles": 2, "acircles": 2}[self.kind]
@@ -97,6 +113,23 @@ class Board:
             raise ValueError(f"a first id belongs to boards with markers, and is 0 or more; got {self.first_tag_id}")
         if self.kind == "aprilgrid":
             self._check_tags()
+        if self.is_marked:
+            if self.kind != "chessboard":
+                raise ValueError(f"squares are marked on chessboards; {_NAMES[self.kind]} has no marked ones")
+            check_marks(self.columns, self.rows, self.discs, self.swapped)
+        if self.circle_style:
+            self._check_style()
+
+    def _check_style(self) -> None:
+        if self.circle_style not in CIRCLE_STYLES or self.kind not in ("circles", "acircles"):
+            raise ValueError(
+                f"circles are {', '.join(CIRCLE_STYLES)} or plain; got {self.circle_style!r} of {_NAMES[self.kind]}"
+            )
+        if self.circle_style != "rings" and (self.kind != "circles" or self.columns < 3 or self.rows < 4):
+            raise ValueError(
+                f"three {self.circle_style} circles mark grids of the kind circles with at least 3 columns and 4 rows; "
+                f"got {self.kind}:{self.columns}x{self.rows}"
+            )
 
     def _check_tags(self) -> None:
         if not 0 < self.tag_gap_ratio <= LARGEST_TAG_GAP_RATIO:
@@ -122,8 +155,31 @@ class Board:
 
     @property
     def allows_partial(self) -> bool:
-        """True where every point carries its identity, so that a partly visible board can be used."""
-        return self.kind in ("charuco", "aprilgrid")
+        """True where what is printed names the points, so that a partly visible board can be used."""
+        return self.kind in ("charuco", "aprilgrid") or self.is_marked or bool(self.marked_points)
+
+    @property
+    def is_marked(self) -> bool:
+        """Whether squares of a chessboard are marked."""
+        return bool(self.discs or self.swapped)
+
+    @property
+    def is_printed(self) -> Bool[ndarray, "n"]:
+        """Which points the print has: at the corners of a square of the other colour no edges cross."""
+        is_printed = np.ones(self.n_points, bool)
+        if self.swapped:
+            grid = is_printed.reshape(self.rows, self.columns)
+            for column, row in self.swapped:
+                grid[row - 1 : row + 1, column - 1 : column + 1] = False
+        return is_printed
+
+    @property
+    def marked_points(self) -> tuple[int, ...]:
+        """The three marked circles of a circle grid: the first, the one two columns on, the one three rows on; else empty."""
+        if self.circle_style not in ("large", "hollow"):
+            return ()
+        column, row = (self.columns - 3) // 2, (self.rows - 4) // 2
+        return tuple((row + down) * self.columns + column + right for right, down in MARKS)
 
     @property
     def marker_dictionary(self) -> str:
@@ -195,6 +251,9 @@ def parse_board(spec: str) -> Board:
     if max(len(size[1]), len(size[2])) > len(str(MOST_POINTS)):
         raise ValueError(f"board {_shown(spec)!r} is too large: no board has more than {MOST_POINTS} points")
     columns, rows = int(size[1]), int(size[2])
+    marks = [field for field in fields if is_mark(field)] if kind == "chessboard" else []
+    fields = [field for field in fields if field not in marks]
+    style = fields.pop() if kind in ("circles", "acircles") and fields[-1] in CIRCLE_STYLES else ""
     most = {"charuco": 5, "aprilgrid": 5}.get(kind, 2)
     if len(fields) > most:
         raise ValueError(f"board {_shown(spec)!r} has too many fields; examples: {_EXAMPLES}")
@@ -228,7 +287,11 @@ def parse_board(spec: str) -> Board:
         return Board(
             kind, columns, rows, pitch_m, is_metric, dictionary=family, tag_gap_ratio=gap, first_tag_id=first_id
         )
-    return Board(kind, columns, rows, pitch_m, is_metric)  # type: ignore[arg-type]
+    try:
+        discs, swapped = parse_marks(marks, columns, rows)
+    except ValueError as error:
+        raise ValueError(f"board {_shown(spec)!r}: {error}") from None
+    return Board(kind, columns, rows, pitch_m, is_metric, discs=discs, swapped=swapped, circle_style=style)  # type: ignore[arg-type]
 
 
 def _length_of(spec: str, text: str) -> tuple[float, bool]:
@@ -274,4 +337,6 @@ def format_board(board: Board) -> str:
         spec += f":{board.tag_gap_ratio!r}"
         if board.dictionary not in ("", "tag36h11"):
             spec += f":{board.dictionary}"
-    return spec + (f":{board.first_tag_id}" if board.first_tag_id else "")
+    spec += format_marks(board.columns, board.rows, board.discs, board.swapped)
+    spec += f":{board.first_tag_id}" if board.first_tag_id else ""
+    return spec + f":{board.circle_style}" * bool(board.circle_style)

@@ -78,6 +78,10 @@ def format_kalibr_target(board: Board) -> str:
     """
     if board.kind == "charuco":
         raise ValueError("Kalibr knows no ChArUco boards")
+    if board.is_marked:
+        raise ValueError("Kalibr knows no marked chessboards")
+    if board.circle_style:
+        raise ValueError("Kalibr knows circle grids of plain discs alone")
     if not board.is_metric:
         raise ValueError("a target of Kalibr has its lengths in metres: give the board's a unit, such as 20mm")
     if board.kind == "aprilgrid":

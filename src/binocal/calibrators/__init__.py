@@ -23,7 +23,7 @@ from binocal.calibrators.registry import (
     model_for,
     refuse_unsuited,
 )
-from binocal.errors import CalibrationError
+from binocal.errors import CalibrationError, DataError
 from binocal.evidence import Detections
 from binocal.evidence.rectangles import RectanglePairs
 from binocal.evidence.zoom_settings import ZoomSettings
@@ -107,6 +107,8 @@ def calibrate_as_requested(
     refuse_unsuited(calibrator, request)
     request = replace(request, model=model_for(calibrator, request.model))
     _check_model(request.model)
+    if isinstance(evidence, Detections) and evidence.shots is not None:
+        request = _of_several_boards(request, evidence.shots)
     from binocal.calibrators.provenance import with_corner_orders, with_provenance
 
     view_choice: dict[str, Any] = {}
@@ -144,6 +146,20 @@ def calibrate_named_or_best_model(
     calibration = method(evidence, request)
     request.report("joint solve", 1, 1)
     return calibration
+
+
+def _of_several_boards(request: CalibrationRequest, shots: tuple[int, ...]) -> CalibrationRequest:
+    """The request with what holds where views are of different boards: each as drawn, and one pair of images is of one moment.
+
+    Raises:
+        DataError: A shape was asked for, which different boards do not have in common.
+    """
+    if request.board_shape not in ("auto", "flat"):
+        raise DataError(
+            f"the views are of several boards, which have no shape in common: the board's shape is auto or flat, not {request.board_shape}."
+        )
+    exposure = "together" if request.exposure == "auto" and len(set(shots)) == 1 else request.exposure
+    return replace(request, board_shape="flat", exposure=exposure)
 
 
 def _check_model(name: str) -> None:

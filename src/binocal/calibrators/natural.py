@@ -7,6 +7,7 @@ The length of the translation is never told by matches.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +30,10 @@ from binocal.calibrators.natural_checks import (
     pairs_disagree,
     pairs_left_out,
     pairs_of_several_poses,
+    refuse_knocked,
     refuse_other_rig,
     refuse_rectified,
+    refuse_torn,
     refuse_whole_rows,
     refuse_wrong,
     unlike_file,
@@ -45,6 +48,7 @@ from binocal.calibrators.natural_untold import (
 )
 from binocal.cameras import Camera, StereoRig
 from binocal.cameras.models import camera_model
+from binocal.errors import CalibrationError
 from binocal.evidence.point_matches import PointMatches
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3, so3
@@ -71,6 +75,7 @@ BEHIND_PX, BEHIND_NOISE = 8.0, 20.0
 MOST_BEHIND_SHARE = 0.2  # of the clear ones that fit; where 40 % of all matches are wrong it is 0.05
 KEPT_ROUNDS = 3
 MIN_PAIRS_FOR_SCATTER = 3
+MIN_PAIRS_OF_A_STATE = 2  # of one pair alone nothing says that it is of one moment
 CLEAR_PARALLAX, MIN_CLEAR = 10.0, 20
 """Of the noise, and so many matches, for the direction of the translation to be told at all."""
 
@@ -115,9 +120,23 @@ def calibrate_from_matches(matches: PointMatches, request: NaturalRequest) -> St
     findings: list[Finding] = []
     odd = contradicting_pairs(solved.problem, solved.matches, solved.estimate, solved.noise_px)
     if odd and matches.n_pairs > 1:
+        _refuse_knocked(solved, sorted(odd), request)
         findings.append(pairs_left_out(solved.matches, odd, request.old is not None))
         solved = _solve(matches.of_pairs([i for i in range(matches.n_pairs) if i not in odd]), request)
     return _judged(solved, request, findings)
+
+
+def _refuse_knocked(solved: _Solved, odd: Sequence[int], request: NaturalRequest) -> None:
+    """Raises InconsistentViewsError: two and more pairs that contradict the others agree on another pose, near to theirs."""
+    if len(odd) < MIN_PAIRS_OF_A_STATE:
+        return
+    others = solved.matches.of_pairs(list(odd))
+    try:
+        state = _solve(others, request)
+    except CalibrationError:
+        return
+    if not contradicting_pairs(state.problem, state.matches, state.estimate, state.noise_px):
+        refuse_knocked(others.names, solved.matches.n_pairs, state.estimate, solved.estimate)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,6 +221,8 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
             if not is_of_other_cameras(misfit):
                 raise refusal(pairs_of_several_poses(matches.n_pairs))
         refuse_other_cameras(misfit)
+    regions = regions_of(matches.left_px, request.cameras[0].size_wh)
+    refuse_torn(pairs_apart(solved.equations, matches.pair, regions), matches.n_pairs)
     if untold is not None and request.old is not None:
         old = RelativePose.of(request.old)
         held, of_held = as_seen_from(untold, estimate, old), covariance
@@ -217,7 +238,6 @@ def _judged(solved: _Solved, request: NaturalRequest, findings: list[Finding]) -
             covariance, random = _covariance(solved, request, of_cameras, slopes)
         kept.append(untold_finding(of_held, held, old, is_kept=True))
         covariance = limited_to_kept(covariance)
-    regions = regions_of(matches.left_px, request.cameras[0].size_wh)
     told_of = slopes * (np.diagonal(of_cameras) > 0)
     ask = clearest_ask(solved.equations, regions, parameters_asked_for(request.cameras, told_of), rng)
     direction_sigma_deg = float(np.degrees(np.sqrt(np.diagonal(covariance)[3:5].max())))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import TypeGuard
 
 import numpy as np
 from numpy import ndarray
@@ -31,12 +32,17 @@ MOST_FORWARD_DEG = 15.0
 anew side by side or one above the other as before; one that moved on between the exposures seems to stand behind the other."""
 MOST_NOISE_PX = 1.0  # no matcher leaves more; what another parameter of the cameras would take away of it is theirs
 UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
+_KNOCKED = "the rig was knocked on the way, or flexes, or its cameras do not expose together"
+_SEE_WHEN = "see with `binocal check --stream` when, and give pairs from before or after it"
 RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
 """Median difference of matches' rows as they are, and by the rig given, for images that were rectified before; the former's share of
 the noise in the rig's best pose."""
 APART_SHARE, APART_OVER_REGIONS = 0.25, 5.0
 """Of the squared residuals, that a pose for each pair would take away, and over what regions explain, for pairs to disagree: EuRoC's and
 BumbleBee2's have up to 0.11 and 3.5, KITTI's grey ones 0.43 to 0.61 and 10 to 18."""
+TORN_SHARE, TORN_PX = 0.8, 0.3
+"""The same share and the RMS in pixels, beyond which no pose is that of all: a right camera knocked by 0.08 deg of pitch half-way leaves
+0.92 and 0.34 px, KITTI's grey cameras 0.61 and 0.11 px."""
 NAMED = 3  # pairs in one sentence
 
 
@@ -90,7 +96,7 @@ def contradicting_pairs(
         told = own & is_right & is_clear
         if own.sum() >= MIN_MATCHES and is_right[own].mean() < CONTRARY_SHARE * usual:
             found[pair] = (
-                f"{100 * is_right[own].mean():.0f} % of its matches fit, of all {100 * usual:.0f} %: not of one moment?"
+                f"{100 * is_right[own].mean():.0f} % of its matches fit, of all {100 * usual:.0f} %: not of one moment, or the rig was knocked?"
             )
         elif told.sum() >= MIN_CLEAR and is_in_front[told].mean() < 0.5:
             found[pair] = "its points lie behind the cameras: left and right exchanged?"
@@ -112,10 +118,30 @@ def pairs_left_out(matches: PointMatches, odd: Mapping[int, str], has_old: bool)
 
 def pairs_disagree(apart: PairsApart | None) -> list[Finding]:
     """What is said of pairs that differ by more than errors of their matches explain."""
-    if apart is None or apart.share < APART_SHARE or apart.over_regions < APART_OVER_REGIONS:
+    if not _differ(apart):
         return []
     share_percent, over = 100 * apart.share, apart.over_regions
     return [finding("pairs-disagree", apart_px=apart.apart_px, share_percent=share_percent, over_regions=over)]
+
+
+def _differ(apart: PairsApart | None) -> TypeGuard[PairsApart]:
+    """Whether pairs differ by more than errors of their matches explain."""
+    return apart is not None and apart.share >= APART_SHARE and apart.over_regions >= APART_OVER_REGIONS
+
+
+def refuse_torn(apart: PairsApart | None, n_pairs: int) -> None:
+    """Raises InconsistentViewsError: pairs differ by so much that no pose is that of all."""
+    if _differ(apart) and apart.share >= TORN_SHARE and apart.apart_px >= TORN_PX:
+        raise refusal(pairs_of_several_poses(n_pairs))
+
+
+def refuse_knocked(names: Sequence[str], n_pairs: int, estimate: RelativePose, of_others: RelativePose) -> None:
+    """Raises InconsistentViewsError: pairs that contradict the others show one pose together, as far away as a knock may be."""
+    turn_deg, direction_deg = _away_deg(of_others, estimate)
+    if turn_deg > MOST_TURN_DEG or direction_deg > MOST_DIRECTION_DEG + turn_deg:
+        return
+    what = f"{named(list(names))} show a right camera that is turned by {turn_deg:.2g} deg against that of the others: {_KNOCKED}"
+    raise refusal(finding("pairs-contradict", n_odd=len(names), n_pairs=n_pairs, what=what, remedy=_SEE_WHEN))
 
 
 def named(texts: list[str]) -> str:
@@ -200,6 +226,6 @@ def pairs_of_several_poses(n_pairs: int) -> Finding:
         "pairs-contradict",
         n_odd=n_pairs,
         n_pairs=n_pairs,
-        what="each fits these cameras with a pose of its own, and no one pose fits all: the rig was knocked on the way, or flexes",
-        remedy="see with `binocal check --stream` when, and give pairs from before or after it",
+        what=f"each fits these cameras with a pose of its own, and no one pose fits all: {_KNOCKED}",
+        remedy=_SEE_WHEN,
     )

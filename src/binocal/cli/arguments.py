@@ -21,6 +21,32 @@ def parse_board(spec: str) -> Any:
         raise typer.BadParameter(str(error)) from None
 
 
+def parse_boards(specs: list[str]) -> Any:
+    """The board of one ``--board``, or the set of several."""
+    from binocal.boards import BoardSet
+
+    boards = tuple(parse_board(spec) for spec in specs)
+    if len(boards) == 1:
+        return boards[0]
+    try:
+        return BoardSet(boards)
+    except ValueError as error:
+        raise typer.BadParameter(f"--board: {error}.") from None
+
+
+def only_board(parsed: Any, option: str) -> Any:
+    """The board, where one is given and an option is about one.
+
+    Raises:
+        typer.BadParameter: Several are given.
+    """
+    from binocal.boards import BoardSet
+
+    if isinstance(parsed, BoardSet):
+        raise typer.BadParameter(f"{option} is about one board; give --board once.")
+    return parsed
+
+
 def parse_length(text: str | None) -> float | None:
     """Metres of a length with its unit."""
     if text is None:
@@ -48,6 +74,7 @@ def parse_measured(text: str | None, board: Any) -> tuple[Any, tuple[float, floa
         return board, None
     from binocal.boards import measured
 
+    board = only_board(board, "--measured")
     try:
         measured_m = measured.parse_measured(text)
         if board is not None:

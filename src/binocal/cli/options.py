@@ -30,6 +30,15 @@ BOARD_HELP = (
 )
 Left = Annotated[str, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")]
 Right = Annotated[str, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")]
+Boards = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--board",
+        help=f"{BOARD_HELP} Given again for images that show several boards, of different sizes or ids.",
+        metavar="SPEC",
+        show_default=False,
+    ),
+]
 BoardSpec = Annotated[str, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")]
 Measured = Annotated[
     str | None,

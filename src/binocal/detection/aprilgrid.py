@@ -14,7 +14,6 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.detection.finding.marker_codes import CodeKind
-from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import april_grid
 from binocal.detection.finding.marker_search import MarkerSighting, choose_way, few_kept_note, search_markers
 from binocal.detection.finding.markers import find_markers, get_dictionary
@@ -207,7 +206,7 @@ def _measure_lattice(grey: ndarray, board: Board, sighting: MarkerSighting) -> F
         per_reach=0.75 * min(1.0, border / board.tag_gap_ratio),
     )
     points[~_are_near(points, rough, side)] = np.nan
-    points[find_inconsistent(sighting, points, covariance, side)] = np.nan
+    points[sighting.find_inconsistent(points, covariance, side)] = np.nan
     return _as_found(grey, board, points, covariance, cross, side)
 
 

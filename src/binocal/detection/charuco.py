@@ -12,7 +12,6 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.detection.finding.arrangements import charuco_squares
 from binocal.detection.finding.marker_codes import CodeKind
-from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import charuco_grid
 from binocal.detection.finding.marker_search import (
     LEAST_SURE,
@@ -205,7 +204,7 @@ def _measure(
     points[np.linalg.norm(points - predicted, axis=1) > 0.25 * spacing] = np.nan
     if sighting is not None:
         is_measured = np.isfinite(points[:, 0])
-        points[find_inconsistent(sighting, points, covariance, spacing)] = np.nan
+        points[sighting.find_inconsistent(points, covariance, spacing)] = np.nan
         if is_measured.sum() >= MIN_CORNERS and not np.isfinite(points).any():
             return not_found(board.n_points, "the image is too blurred: the board's corners run into its markers")
     else:

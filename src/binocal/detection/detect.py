@@ -73,6 +73,10 @@ def _detect_kind(
         from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
 
         return detect_aprilgrid(grey, stretched, board, layout if isinstance(layout, TagLayout) else None)
+    if board.is_marked:
+        from binocal.detection.chessboard.marked import detect_marked_chessboard
+
+        return detect_marked_chessboard(grey, stretched, board), None
     return detect_chessboard(grey, stretched, board), None
 
 

@@ -7,8 +7,9 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy import ndarray
@@ -29,6 +30,7 @@ MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's images; with fewer it is not clear
 MIN_PAIRS = 3  # of a calibration: with fewer, images that are not read of files with several are what is missing
 MOST_NAMES = 6  # of views in one note
 _SIDES = ("left", "right")
+Image = TypeVar("Image")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,16 +45,22 @@ class PairDetections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """One image: its size and what was found, or why it could not be read."""
+class ReadImage:
+    """One image: its size and what identifies it, or why it could not be read."""
 
     path: Path
     size_wh: tuple[int, int] | None = None
-    found: FoundBoard | None = None
-    layout: Any = None
     problem: str = ""
     sha256: str = ""
     n_pages: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen(ReadImage):
+    """One image, and what was found in it."""
+
+    found: FoundBoard | None = None
+    layout: Any = None
 
 
 def detect_pairs(
@@ -83,10 +91,11 @@ def detect_pairs(
     if not pairs:
         raise DataError("there is no pair of images; left and right images are paired by the number in their names.")
     paths = [path for pair in pairs for path in (pair.left_path, pair.right_path)]
-    seen = _detect_all(paths, board, preparation, None, progress, should_stop, n_threads)
-    seen = _agree_on_layout(seen, board, preparation, should_stop, n_threads)
+    look = partial(_detect_one, board=board, preparation=preparation)
+    seen = look_at_all(paths, look, progress, should_stop, n_threads)
+    seen = _agree_on_layout(seen, look, should_stop, n_threads)
     sides = {"left": seen[0::2], "right": seen[1::2]}
-    pages = _page_notes(sides)
+    pages = page_notes(sides)
     if pages and len(pairs) < MIN_PAIRS:
         raise DataError(f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of images: {pages[0]}")
     if not any(image.found for image in seen):
@@ -94,7 +103,7 @@ def detect_pairs(
         raise DataError(f"none of the {len(seen)} images can be read; {next(iter(problems.values()))}")
     looked = [LookedAt(_SIDES[i % 2], image.path, image.found, image.problem) for i, image in enumerate(seen)]
     require_board(looked, board, least_pairs)
-    sizes = {side: _common_size(side, images) for side, images in sides.items()}
+    sizes = {side: common_size(side, images) for side, images in sides.items()}
     kept, rejected, notes = _sort_views(pairs, sides, sizes)
     notes = [*pages, *notes]
     if not kept:
@@ -122,25 +131,27 @@ def detect_pairs(
         detections,
         tuple(rejected),
         tuple(notes),
-        {side: _digest(images) for side, images in sides.items()},
+        {side: digest_of(images) for side, images in sides.items()},
     )
 
 
-def _detect_all(
+def look_at_all(
     paths: Sequence[Path],
-    board: Board,
-    preparation: Preparation,
-    layout: Any,
+    look: Callable[[Path], Image],
     progress: Callable[[int, int], None] | None,
     should_stop: Callable[[], bool] | None,
     n_threads: int | None,
-) -> list[_Seen]:
-    """Every image, in the order given."""
-    results: list[_Seen | None] = [None] * len(paths)
+) -> list[Image]:
+    """Every image, in the order given; see :func:`detect_pairs`.
+
+    Raises:
+        CancelledError: ``should_stop`` returned True.
+    """
+    results: list[Image | None] = [None] * len(paths)
     pool = ThreadPoolExecutor(n_threads or threads.n_threads())
     with single_threaded_opencv():
         try:
-            waiting = {pool.submit(_detect_one, path, board, preparation, layout): i for i, path in enumerate(paths)}
+            waiting = {pool.submit(look, path): i for i, path in enumerate(paths)}
             for done, future in enumerate(as_completed(waiting), start=1):
                 results[waiting[future]] = future.result()
                 if progress is not None:
@@ -152,20 +163,19 @@ def _detect_all(
     return [result for result in results if result is not None]
 
 
-def _detect_one(path: Path, board: Board, preparation: Preparation, layout: Any) -> _Seen:
+def _detect_one(path: Path, *, board: Board, preparation: Preparation, layout: Any = None) -> _Seen:
     try:
         image = preparation.read(path)
     except FormatError as error:
         return _Seen(path, problem=str(error.problem))
     found, proved = detect_in_layout(image.grey, board, layout)
     size_wh = image.grey.shape[1], image.grey.shape[0]
-    return _Seen(path, size_wh, found, proved, sha256=image.sha256, n_pages=image.n_pages)
+    return _Seen(path, size_wh, sha256=image.sha256, n_pages=image.n_pages, found=found, layout=proved)
 
 
 def _agree_on_layout(
     seen: list[_Seen],
-    board: Board,
-    preparation: Preparation,
+    look: Callable[..., _Seen],
     should_stop: Callable[[], bool] | None,
     n_threads: int | None,
 ) -> list[_Seen]:
@@ -178,15 +188,19 @@ def _agree_on_layout(
         return seen
     layout = votes.most_common(1)[0][0]
     again = [i for i, image in enumerate(seen) if image.found is not None and image.layout != layout]
-    renewed = _detect_all([seen[i].path for i in again], board, preparation, layout, None, should_stop, n_threads)
+    renewed = look_at_all([seen[i].path for i in again], partial(look, layout=layout), None, should_stop, n_threads)
     seen = list(seen)
     for i, image in zip(again, renewed, strict=True):
         seen[i] = image
     return seen
 
 
-def _common_size(side: str, images: Sequence[_Seen]) -> tuple[int, int]:
-    """The size of a camera's images."""
+def common_size(side: str, images: Sequence[ReadImage]) -> tuple[int, int]:
+    """The size of a camera's images.
+
+    Raises:
+        DataError: They have no common size, or none can be read.
+    """
     sizes = Counter(image.size_wh for image in images if image.size_wh is not None)
     if not sizes:
         raise DataError(
@@ -246,7 +260,7 @@ def _list_views(names: Sequence[str]) -> str:
     return f"{len(names)} views ({', '.join(names[:MOST_NAMES])}{more})"
 
 
-def _page_notes(sides: dict[str, list[_Seen]]) -> list[str]:
+def page_notes(sides: Mapping[str, Sequence[ReadImage]]) -> list[str]:
     """What is not read of files that hold several images."""
     notes = []
     for side, images in sides.items():
@@ -265,7 +279,7 @@ def _one_line(text: str, rejected: Sequence[RejectedView]) -> str:
     return f"{text}: {first.name}: {first.reason}" + (f" (and {len(rejected) - 1} more)" if len(rejected) > 1 else "")
 
 
-def _digest(images: Sequence[_Seen]) -> str:
+def digest_of(images: Sequence[ReadImage]) -> str:
     """SHA-256 over names and contents' SHA-256, in order."""
     digest = hashlib.sha256()
     for image in images:

@@ -13,6 +13,7 @@ from binocal.detection.found import FoundBoard
 from binocal.detection.hints import count_signs, hint_from_images
 from binocal.findings import finding, refusal
 
+SEVERAL_SHARE = 0.5  # of the images: with fewer, those that show several boards are left out, as one may stand about
 FEW_FOUND = 0.2  # of the images: so few may be chance where the others that are looked at again agree on another board
 
 
@@ -32,7 +33,7 @@ class LookedAt:
 
 
 def require_board(images: Sequence[LookedAt], board: Board, least_pairs: int) -> None:
-    """Refuse images that show no board, another one, none in one camera, or too few in both; they come pair by pair.
+    """Refuse images that show no board, another one, several, none in one camera, or too few in both; they come pair by pair.
 
     Raises:
         DetectionError: So it is; ``reasons`` says why for each image.
@@ -44,6 +45,9 @@ def require_board(images: Sequence[LookedAt], board: Board, least_pairs: int) ->
     n_both = sum(not (a.reason or b.reason) for a, b in zip(left, right, strict=True))
     spec = f"{board.kind}:{board.columns}x{board.rows}"
     common: dict[str, Any] = {"board": spec, "n_images": len(images), "n_pairs": n_pairs}
+    n_several = sum(found.is_among_several for _, found in looked)
+    if n_several and n_several >= SEVERAL_SHARE * len(looked):
+        raise refusal(finding("several-boards", n_several=n_several, **common), _reasons(images))
     is_few = 0 in n_seen.values() or n_found < FEW_FOUND * len(looked)
     is_doubtful = is_few or 2 * n_found < len(looked) or count_signs(looked) > n_found
     hint = hint_from_images(looked, board) if is_doubtful else None

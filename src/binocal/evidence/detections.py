@@ -31,6 +31,8 @@ class Detections(ArrayValue):
     known; the solver weighs corners accordingly. ``board_spec`` is the board's SPEC text, where somebody said it.
     Cross-covariances are, for each corner, the sum of its covariances with the image's other corners (symmetric part),
     where corners were measured from some of the same pixels; None where their errors are independent.
+    ``shots`` says of which pair of images each view is, where a pair shows several boards: every board of a pair is then a view of its
+    own, and views are of different boards even where these are alike. None where every view is a pair, and all are of one board.
     """
 
     object_points_m: Float[ndarray, "n 3"]
@@ -45,6 +47,7 @@ class Detections(ArrayValue):
     board_spec: str | None = None
     left_cross_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
     right_cross_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
+    shots: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         arrays = {}
@@ -70,6 +73,10 @@ class Detections(ArrayValue):
             )
         if len(self.names) != len(left):
             raise ValueError(f"{len(self.names)} names for {len(left)} views")
+        if self.shots is not None:
+            object.__setattr__(self, "shots", tuple(int(shot) for shot in self.shots))
+            if len(self.shots) != len(left):
+                raise ValueError(f"{len(self.shots)} shots for {len(left)} views")
         for side, px in (("left", left), ("right", right)):
             if np.any(np.isinf(px)):
                 raise DataError(f"{side} corners hold infinite values; mark corners that were not seen as NaN.")
@@ -176,7 +183,8 @@ class Detections(ArrayValue):
         """The detections of some views only, in the order given."""
         index = np.arange(self.n_views)[views]
         arrays = {name: value[index] for name in PER_CORNER if (value := getattr(self, name)) is not None}
-        return replace(self, names=tuple(self.names[i] for i in index), **arrays)
+        shots = None if self.shots is None else tuple(self.shots[i] for i in index)
+        return replace(self, names=tuple(self.names[i] for i in index), shots=shots, **arrays)
 
     def reorder(self, side: Literal["left", "right"], orders: Mapping[int, Int[ndarray, "n"]]) -> Detections:
         """The detections with one camera's corners in another order, view by view: corner i becomes ``order[i]``."""

@@ -2,9 +2,10 @@
 
 A NumPy archive (``.npz``, readable with ``numpy.load``, nothing pickled) with the arrays of
 :class:`binocal.evidence.Detections` under their own names, as 64-bit floats, and ``header``: UTF-8 bytes of a JSON object with
-``schema``, ``version``, the views' names, image sizes (width, height), whether object points are metres, and the board's SPEC where it
-is known. Where the calibration measured the board's shape, ``board_points_m`` and ``board_sigma_m`` hold it, and the header's
-``board_shape`` its figures. The same detections give the same bytes.
+``schema``, ``version``, the views' names, image sizes (width, height), whether object points are metres, the board's SPEC where it is
+known, and ``shots``, the number of each view's pair, where a pair shows several boards. Where the calibration measured the board's
+shape, ``board_points_m`` and ``board_sigma_m`` hold it, and the header's ``board_shape`` its figures. The same detections give the
+same bytes.
 """
 
 from __future__ import annotations
@@ -79,6 +80,8 @@ def detections_content(detections: Detections, board_shape: BoardShape | None = 
         "is_metric": detections.is_metric,
         "board": detections.board_spec,
     }
+    if detections.shots is not None:
+        header["shots"] = detections.shots
     if board_shape is not None:
         header["board_shape"] = {name: getattr(board_shape, name) for name in SHAPE_FIGURES}
     arrays = {HEADER: np.frombuffer(json.dumps(header).encode("ascii"), dtype=np.uint8)}
@@ -116,6 +119,7 @@ def read_detections(path: str | Path) -> Detections:
             names=tuple(header["names"]),
             is_metric=header["is_metric"],
             board_spec=header["board"],
+            shots=None if header.get("shots") is None else tuple(header["shots"]),
         )
     except (ValueError, DataError) as error:
         raise FormatError(path, f"holds no usable detections: {error}; {REMEDY}") from None
@@ -185,6 +189,7 @@ def _parse_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
         ("right_size_wh", _is_size(header.get("right_size_wh")), "two whole numbers"),
         ("is_metric", isinstance(header.get("is_metric"), bool), "true or false"),
         ("board", isinstance(header.get("board", 0), str | None), "a text or null"),
+        ("shots", _is_wholes(header.get("shots", [])), "a list of whole numbers"),
     ):
         if not is_right:
             got = shown(header.get(key))
@@ -194,6 +199,10 @@ def _parse_header(path: Path, members: dict[str, bytes]) -> dict[str, Any]:
 
 def _is_texts(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(item, str) for item in value)
+
+
+def _is_wholes(value: Any) -> bool:
+    return isinstance(value, list) and all(type(item) is int for item in value)
 
 
 def _is_size(value: Any) -> bool:

@@ -15,6 +15,7 @@ Plane: TypeAlias = ndarray[tuple[int, ...], dtype[float32]]
 
 N_OBSERVED: int
 RECORD_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
+ELLIPSE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 
 # residuals
 @final
@@ -248,7 +249,8 @@ def grow_groups(
 def fit_corners(
     image: ndarray, bottom: float, top: float, inputs: Floats, board_xy: Floats, pitch: float, results: Floats, /
 ) -> None: ...
-def pool_corners(fits: Floats, pooled: Floats, /) -> float: ...
+def pool_corners(fits: Floats, are_corners: bool, pooled: Floats, /) -> float: ...
+def fit_ellipses(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
 def fit_image_lens(
     board_xy: Floats,
     points: Floats,

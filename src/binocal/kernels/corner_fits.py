@@ -48,15 +48,15 @@ CORNER_INPUT = np.dtype([("point_px", float, 2), ("reach_px", float), ("strip_px
 """The kernel's ``CornerInput``."""
 
 
-def _layout(record: np.dtype) -> tuple[int, dict[str, int]]:
+def record_layout(record: np.dtype) -> tuple[int, dict[str, int]]:
     """Size and the fields' offsets, bytes."""
     return record.itemsize, {name: offset for name, (_, offset, *_) in (record.fields or {}).items()}
 
 
 if {
-    "CORNER_FIT": _layout(CORNER_FIT),
-    "CORNER_INPUT": _layout(CORNER_INPUT),
-    "POOLED_CORNER": _layout(POOLED_CORNER),
+    "CORNER_FIT": record_layout(CORNER_FIT),
+    "CORNER_INPUT": record_layout(CORNER_INPUT),
+    "POOLED_CORNER": record_layout(POOLED_CORNER),
 } != _kernel.RECORD_LAYOUTS:
     raise ImportError("binocal's compiled kernel is of another version; install binocal again with pip")
 
@@ -192,7 +192,7 @@ def fit_corners(
     xy, pitch = (None, 0.0) if board is None else (board.xy, float(board.pitch))
     bottom, top = range_of(grey)
     _kernel.fit_corners(
-        np.ascontiguousarray(grey), bottom, top, _numbers(inputs), as_floats(xy), pitch, _numbers(records)
+        np.ascontiguousarray(grey), bottom, top, as_numbers(inputs), as_floats(xy), pitch, as_numbers(records)
     )
     return CornerFits(records)
 
@@ -212,10 +212,13 @@ class PooledCorners:
     noise_dn: float
 
 
-def pool_corners(fits: CornerFits) -> PooledCorners:
-    """One estimate from the fits of one image; see ``corner_pool.hpp``."""
+def pool_corners(fits: CornerFits, *, are_corners: bool = True) -> PooledCorners:
+    """One estimate from the fits of one image; see ``corner_pool.hpp``.
+
+    Fits of other points than corners (``are_corners`` False) share none of their pixels.
+    """
     pooled = np.empty(len(fits.records), POOLED_CORNER)
-    noise2 = _kernel.pool_corners(_numbers(fits.records), _numbers(pooled))
+    noise2 = _kernel.pool_corners(as_numbers(fits.records), are_corners, as_numbers(pooled))
     return PooledCorners(
         pooled["point_px"],
         pooled["covariance_px2"],
@@ -225,6 +228,6 @@ def pool_corners(fits: CornerFits) -> PooledCorners:
     )
 
 
-def _numbers(records: Shaped[ndarray, "n"]) -> Float[ndarray, "n k"]:
+def as_numbers(records: Shaped[ndarray, "n"]) -> Float[ndarray, "n k"]:
     """The same memory as plain numbers."""
     return records.view(float).reshape(len(records), records.dtype.itemsize // 8)

@@ -21,7 +21,7 @@ class ImageLens:
 
     ``bending`` are w, v and q of ``image_lens.hpp``: coefficients of the squared angle from the axis, half diagonals;
     ``centre_px`` is the image of the axis, ``log_aspect`` the logarithm of the vertical scale over the horizontal one.
-    ``H`` takes the board's (X, Y, 1) to the ray's frame. ``residual_px`` is each point's distance from where this lens sees
+    ``H`` takes the board's (X, Y, 1) to the ray's frame (f = 1 there). ``residual_px`` is each point's distance from where this lens sees
     it, infinite behind it. ``images_px`` are the places that were asked for, NaN where this lens does not see them.
     """
 
@@ -31,6 +31,19 @@ class ImageLens:
     H: Float[ndarray, "3 3"]
     residual_px: Float[ndarray, "n"]
     images_px: Float[ndarray, "m 2"]
+    size_wh: tuple[int, int]
+
+    def to_board(self, pixels: Float[ndarray, "k 2"]) -> Float[ndarray, "k 2"]:
+        """Where the pixels' rays meet the board's plane, in the board's unit. Pixels beyond the lens's field are not told apart."""
+        unit = 0.5 * np.hypot(*self.size_wh)
+        x, y = ((pixels - self.centre_px) / unit).T
+        y = np.exp(self.log_aspect) * y
+        r2 = x * x + y * y
+        s = r2 * (self.bending[0] + r2 * (self.bending[1] + r2 * self.bending[2]))
+        root = np.sqrt(np.maximum(np.abs(s), 1e-8))
+        depth = np.where(s > 1e-8, root / np.tan(root), np.where(s < -1e-8, root / np.tanh(root), 1 - s / 3))
+        u, v, w = np.linalg.solve(self.H, np.stack([x, y, depth]))
+        return np.stack([u / w, v / w], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,4 +82,4 @@ def fit_image_lens(
         options.is_robust, places if len(places) else NOTHING, lens, residual, images,
     ):  # fmt: skip
         return None
-    return ImageLens(lens[:3], lens[3:5], float(lens[5]), lens[6:].reshape(3, 3), residual, images)
+    return ImageLens(lens[:3], lens[3:5], float(lens[5]), lens[6:].reshape(3, 3), residual, images, size_wh)

@@ -47,6 +47,12 @@ def board_shapes(board: Board, style: PrintStyle | None = None) -> tuple[Shape, 
         row, column = np.divmod(np.arange(board.columns * board.rows), board.columns)
         x = (discs.step_x * column + discs.stagger * (row % 2)) * pitch - 1e3 * x0
         y = row * pitch - 1e3 * y0
-        return tuple(Disc(float(u), float(v), discs.radius * pitch) for u, v in zip(x, y, strict=True))
+        sizes = zip(x, y, discs.outer.ravel() * pitch, discs.hole.ravel() * pitch, strict=True)
+        return tuple(Disc(*map(float, size)) for size in sizes)
     cells = cell_print(board, is_legacy_charuco=style.is_legacy_charuco, april_border_bits=style.april_border_bits)
-    return (trace_cells(cells.ink, cells.x_edges * pitch - 1e3 * x0, cells.y_edges * pitch - 1e3 * y0),)
+    area = trace_cells(cells.ink, cells.x_edges * pitch - 1e3 * x0, cells.y_edges * pitch - 1e3 * y0)
+    discs = (
+        Disc(float(x * pitch - 1e3 * x0), float(y * pitch - 1e3 * y0), float(radius * pitch), is_black=bool(ink))
+        for x, y, radius, ink in cells.discs
+    )
+    return (area, *discs)

@@ -22,11 +22,14 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A black disc."""
+    """A black disc, a ring about a white one, or a white disc on what is black there."""
 
     x: float
     y: float
     radius: float
+    hole: float = 0.0
+    """Radius of the white disc inside."""
+    is_black: bool = True
 
 
 @dataclass(frozen=True, slots=True)

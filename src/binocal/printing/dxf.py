@@ -46,8 +46,10 @@ def _entities(shape: Shape, layer: str, shift: tuple[float, float], height: floa
         for outline in shape.outlines:
             yield from _polyline(layer, [(float(u) + x, height - float(v) - y) for u, v in outline])
     elif isinstance(shape, Disc):
-        yield from [(0, "CIRCLE"), (8, layer), (10, shape.x + x), (20, height - shape.y - y), (30, 0.0)]
-        yield (40, shape.radius)
+        for radius in (shape.radius, shape.hole):
+            if radius:
+                yield from [(0, "CIRCLE"), (8, layer), (10, shape.x + x), (20, height - shape.y - y), (30, 0.0)]
+                yield (40, radius)
     else:
         yield from [(0, "TEXT"), (8, layer), (10, shape.x + x), (20, height - shape.y - y), (30, 0.0)]
         yield from [(40, 0.7 * shape.size), (1, shape.text)]

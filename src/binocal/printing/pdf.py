@@ -82,12 +82,19 @@ def _shape(shape: Shape) -> str:
         ]
         return "\n".join([*outlines, "f"])
     if isinstance(shape, Disc):
-        return _circle(shape)
+        return _circle(shape) if shape.is_black else f"1 g {_circle(shape)} 0 g"
     text = _escaped(shape.text).decode("latin-1")
     return f"BT /F1 {_number(shape.size)} Tf 1 0 0 -1 {_number(shape.x)} {_number(shape.y)} Tm ({text}) Tj ET"
 
 
 def _circle(disc: Disc) -> str:
+    """A disc, or what lies between two circles."""
+    if not disc.hole:
+        return _path(disc.x, disc.y, disc.radius) + " f"
+    return f"{_path(disc.x, disc.y, disc.radius)} {_path(disc.x, disc.y, disc.hole)} f*"
+
+
+def _path(x: float, y: float, radius: float) -> str:
     """A circle of cubic curves; each tangent handle is 4/3 tan of a quarter of the arc's angle, radii."""
     step = 2 * np.pi / N_ARCS
     handle = 4 / 3 * np.tan(step / 4)
@@ -101,8 +108,8 @@ def _circle(disc: Disc) -> str:
                 [np.cos(b), np.sin(b)],
             ]
         )
-        parts.append(" ".join(map(_number, (disc.radius * at + [disc.x, disc.y]).ravel())) + " c")
-    return f"{_number(disc.x + disc.radius)} {_number(disc.y)} m " + " ".join(parts) + " f"
+        parts.append(" ".join(map(_number, (radius * at + [x, y]).ravel())) + " c")
+    return f"{_number(x + radius)} {_number(y)} m " + " ".join(parts)
 
 
 def _escaped(text: str) -> bytes:

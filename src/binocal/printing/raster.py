@@ -88,13 +88,10 @@ class _Layer:
         if part.size:
             v = np.arange(part.shape[0])[:, None] + rows.start + top + 0.5 - y
             u = np.arange(part.shape[1])[None] + columns.start + 0.5 - x
-            distance = np.hypot(u, v)
-            inside = radius - distance
-            share = (inside > 0).astype(np.float32)
-            rim = np.nonzero(np.abs(inside) < 1)
-            normals = np.stack([u[0, rim[1]], v[rim[0], 0]]) / distance[rim]
-            share[rim] = _half_plane(inside[rim], normals)
-            part += share
+            share = _disc_share(u, v, radius)
+            if disc.hole:
+                share -= _disc_share(u, v, self._scale * disc.hole)
+            part += share if disc.is_black else -share
 
     def _add_text(self, ink: Float32[ndarray, "rows width"], text: Text, top: int) -> None:
         import cv2
@@ -144,6 +141,19 @@ def _signed_corners(outlines: list[Float[ndarray, "_ 2"]]) -> tuple[Float[ndarra
         along = np.roll(outline, -1, axis=0) - outline
         signs.append(np.where(np.abs(along[:, 0]) > np.abs(along[:, 1]), 1.0, -1.0))
     return np.concatenate(outlines), np.concatenate(signs)
+
+
+def _disc_share(
+    u: Float[ndarray, "1 columns"], v: Float[ndarray, "rows 1"], radius: float
+) -> Float32[ndarray, "rows columns"]:
+    """Share of each pixel that a disc covers; u and v from its centre, pixels."""
+    distance = np.hypot(u, v)
+    inside = radius - distance
+    share = (inside > 0).astype(np.float32)
+    rim = np.nonzero(np.abs(inside) < 1)
+    normals = np.stack([u[0, rim[1]], v[rim[0], 0]]) / np.maximum(distance[rim], 1e-9)
+    share[rim] = _half_plane(inside[rim], normals)
+    return share
 
 
 def _half_plane(inside: Float[ndarray, "n"], normals: Float[ndarray, "2 n"]) -> Float[ndarray, "n"]:

@@ -116,7 +116,8 @@ def _named(board: Board, screen: Screen, size_px: tuple[int, int]) -> ScreenBoar
         pitch_m, marker_m = (1e-3 * float(f"{1e3 * screen.pixel_m * px:.6g}") for px in (pitch_px, marker_px))
         named = replace(board, pitch_m=pitch_m, marker_m=marker_m)
     fields = format_board(replace(board, pitch_m=1.0, is_metric=False, marker_m=0.5 * bool(marker_px))).split(":")
-    fields[2:] = [f"{{{pitch_px}}}", *([f"{{{marker_px}}}"] if marker_px else []), *fields[4 if marker_px else 3 :]]
+    lengths = [f"{{{pitch_px}}}", *([f"{{{marker_px}}}"] if marker_px else [])]
+    fields[2:] = [*lengths, *(fields[2:] if board.is_marked else fields[2 + len(lengths) :])]
     return ScreenBoard(board, pitch_px, size_px, format_board(named), ":".join(fields))
 
 

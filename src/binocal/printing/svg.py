@@ -43,8 +43,13 @@ def _shape(shape: Shape) -> str:
             "M" + "L".join(f"{_number(x)} {_number(y)}" for x, y in outline) + "Z" for outline in shape.outlines
         )
         return f'<path fill-rule="evenodd" d="{" ".join(outlines)}"/>'
+    if isinstance(shape, Disc) and shape.hole:
+        middle, width = 0.5 * (shape.radius + shape.hole), shape.radius - shape.hole
+        centre = f'cx="{_number(shape.x)}" cy="{_number(shape.y)}"'
+        return f'<circle {centre} r="{_number(middle)}" fill="none" stroke="#000" stroke-width="{_number(width)}"/>'
     if isinstance(shape, Disc):
-        return f'<circle cx="{_number(shape.x)}" cy="{_number(shape.y)}" r="{_number(shape.radius)}"/>'
+        fill = "" if shape.is_black else ' fill="#fff"'
+        return f'<circle cx="{_number(shape.x)}" cy="{_number(shape.y)}" r="{_number(shape.radius)}"{fill}/>'
     length = _number(ADVANCE * shape.size * len(shape.text))
     return (
         f'<text x="{_number(shape.x)}" y="{_number(shape.y)}" font-family="Courier, monospace" '

@@ -29,6 +29,7 @@ from binocal.simulation.noise import add_outliers, drop_corners, simulate_detect
 from binocal.simulation.pairs import render_pairs, render_scene_pairs
 from binocal.simulation.renderer import RenderedImage, RenderOptions, render_image, render_light
 from binocal.simulation.rigs import random_rig, table2_rig
+from binocal.simulation.rooms import Room, draw_room, render_room
 from binocal.simulation.scene_renderer import SceneOptions, render_scene_image
 from binocal.simulation.scenes import (
     PoseOptions,
@@ -51,12 +52,14 @@ __all__ = [
     "PoseOptions",
     "RenderOptions",
     "RenderedImage",
+    "Room",
     "SceneOptions",
     "Setup",
     "SimulatedMatches",
     "StereoScene",
     "TexturedScene",
     "add_outliers",
+    "draw_room",
     "draw_textured_scene",
     "drop_corners",
     "drop_view",
@@ -72,6 +75,7 @@ __all__ = [
     "render_image",
     "render_light",
     "render_pairs",
+    "render_room",
     "render_scene_image",
     "render_scene_pairs",
     "repeat_view",

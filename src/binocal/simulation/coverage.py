@@ -48,9 +48,9 @@ def sheet_of(board: Board, *, is_legacy_charuco: bool = False, april_border_bits
     """The board's print on its sheet of white paper."""
     if board.kind in ("circles", "acircles"):
         return DiscSheet(disc_print(board), board)
-    return CellSheet(
-        cell_print(board, is_legacy_charuco=is_legacy_charuco, april_border_bits=april_border_bits), sheet_margin(board)
-    )
+    cells = cell_print(board, is_legacy_charuco=is_legacy_charuco, april_border_bits=april_border_bits)
+    sheet = CellSheet(cells, sheet_margin(board))
+    return MarkedSheet(sheet, cells.discs) if len(cells.discs) else sheet
 
 
 class CellSheet:
@@ -118,31 +118,67 @@ class DiscSheet:
             CellPrint(np.array([x0, x1]), np.array([y0, y1]), np.zeros((1, 1), dtype=int)), sheet_margin(board)
         )
 
-    def _from_nearest(self, at: Footprint) -> tuple[ndarray, ndarray, ndarray]:
-        """Offset x, y from the nearest disc's centre, and the distance."""
+    def _from_nearest(self, at: Footprint) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
+        """Offset x, y from the nearest disc's centre, the distance, and the disc's own radius and its hole's."""
         d = self._discs
         row = np.clip(np.rint(at.y), 0, d.rows - 1)
         start = d.stagger * (row % 2)
         column = np.clip(np.rint((at.x - start) / d.step_x), 0, d.columns - 1)
         x, y = at.x - start - d.step_x * column, at.y - row
-        return x, y, np.hypot(x, y)
+        place = row.astype(int), column.astype(int)
+        return x, y, np.hypot(x, y), d.outer[place], d.hole[place]
 
     def classify(self, at: Footprint, reach_x: ndarray, reach_y: ndarray) -> tuple[ndarray, ndarray, ndarray]:
         """See :class:`Sheet`."""
         paper, coverage, is_constant = self._paper.classify(at, reach_x, reach_y)
-        distance = self._from_nearest(at)[2] - self._discs.radius
-        is_constant &= np.abs(distance) > np.hypot(reach_x, reach_y)
-        return paper * (distance > 0), coverage, is_constant
+        _, _, r, outer, hole = self._from_nearest(at)
+        reach = np.hypot(reach_x, reach_y)
+        is_constant &= (np.abs(r - outer) > reach) & ((np.abs(r - hole) > reach) | (hole == 0))
+        return paper * ((r > outer) | (r < hole)), coverage, is_constant
 
     def spread(self, at: Footprint, spread_px: float) -> tuple[ndarray, ndarray]:
-        """See :class:`Sheet`. Takes the rim as straight: right to spread_px² / (2 radius), alike all round."""
+        """See :class:`Sheet`. Takes a rim as straight: right to spread_px² / (2 radius), alike all round."""
         from scipy.special import ndtr
 
         paper, coverage = self._paper.spread(at, spread_px)
-        x, y, r = self._from_nearest(at)
+        x, y, r, outer, hole = self._from_nearest(at)
         slope = np.hypot(x * at.x_u + y * at.y_u, x * at.x_v + y * at.y_v) / np.maximum(r, 1e-9)
-        outside = ndtr((r - self._discs.radius) / (spread_px * np.maximum(slope, 1e-12)))
-        return paper * outside, coverage
+        spread = spread_px * np.maximum(slope, 1e-12)
+        bright = ndtr((r - outer) / spread)
+        bright += np.where(hole > 0, ndtr((hole - r) / spread), 0.0)
+        return paper * bright, coverage
+
+
+class MarkedSheet:
+    """Cells, some with a disc of the other colour."""
+
+    def __init__(self, cells: CellSheet, discs: Float[ndarray, "k 4"]) -> None:
+        self._cells, self._discs = cells, discs
+
+    def classify(self, at: Footprint, reach_x: ndarray, reach_y: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+        """See :class:`Sheet`."""
+        reflectance, coverage, is_constant = self._cells.classify(at, reach_x, reach_y)
+        reach = np.hypot(reach_x, reach_y)
+        for x, y, radius, ink in self._discs:
+            beyond = np.hypot(at.x - x, at.y - y) - radius
+            is_constant &= np.abs(beyond) > reach
+            reflectance = np.where(beyond < 0, np.float32(1 - ink), reflectance)
+        return reflectance, coverage, is_constant
+
+    def spread(self, at: Footprint, spread_px: float) -> tuple[ndarray, ndarray]:
+        """See :class:`Sheet`. Takes a disc's rim as straight: right to spread_px² / (2 radius), alike all round."""
+        from scipy.special import ndtr
+
+        reflectance, coverage = self._cells.spread(at, spread_px)
+        for centre_x, centre_y, radius, ink in self._discs:
+            x, y = at.x - centre_x, at.y - centre_y
+            r = np.hypot(x, y)
+            near = r < 3 * radius
+            if near.any():
+                slope = np.hypot(x * at.x_u + y * at.y_u, x * at.x_v + y * at.y_v) / np.maximum(r, 1e-9)
+                inside = np.where(near, ndtr((radius - r) / (spread_px * np.maximum(slope, 1e-12))), 0.0)
+                reflectance = reflectance + inside.astype(np.float32) * (np.float32(1 - ink) - reflectance)
+        return reflectance, coverage
 
 
 def _joint_minus_product(a: ndarray, b: ndarray, correlation: ndarray) -> ndarray:

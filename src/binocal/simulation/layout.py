@@ -3,24 +3,27 @@
 One square of white paper surrounds the outer squares of a chessboard; the other kinds have margins that a detector
 needs. Conventions, each held against OpenCV or Kalibr by a test:
 
-- chessboard: the outer square at the board's top left is black.
+- chessboard: the outer square at the board's top left is black; marks are OpenCV's discs, or squares of the other colour.
 - ChArUco: OpenCV's ``CharucoBoard``; its top-left square is black, in the legacy layout with an even number of rows
   white.
 - AprilGrid: Kalibr's sheet: tags with ``border_bits`` (Kalibr: 2) cells of black around 6 x 6 data cells, all
   within ``pitch_m``; black squares as wide as the gap at the tags' corners; ids grow to the right and upward from
   the bottom-left tag; tags upright as in the AprilTag project's own images. OpenCV's ``DICT_APRILTAG_36h11``
   holds them turned by 180° in 4.x and 5.0.
-- circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours.
+- circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours; three of them 1.4 times as large
+  or rings, or all of them rings, whose holes have half their diameter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.boards.board import HOLE, LARGE
+from binocal.boards.marks import DISC_RADIUS
 from binocal.shapes import Float, Int
 
 _TAG36H11_ID0 = (
@@ -35,17 +38,24 @@ class CellPrint:
     x_edges: Float[ndarray, "columns_and_one"]
     y_edges: Float[ndarray, "rows_and_one"]
     ink: Int[ndarray, "rows columns"]
+    discs: Float[ndarray, "k 4"] = field(default_factory=lambda: np.zeros((0, 4)))
+    """Of the other colour than the cell about them: centre x, y and radius in pitches, and 1 where black is printed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscPrint:
-    """Black discs at (``step_x`` column + ``stagger`` (row mod 2), row), in pitches."""
+    """Black discs at (``step_x`` column + ``stagger`` (row mod 2), row), in pitches.
+
+    ``outer`` and ``hole`` are each disc's own radius and that of the white disc inside it, 0 where it is whole.
+    """
 
     columns: int
     rows: int
     step_x: float
     stagger: float
     radius: float
+    outer: Float[ndarray, "rows columns"]
+    hole: Float[ndarray, "rows columns"]
 
 
 def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
@@ -60,7 +70,13 @@ def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
     else:
         discs = disc_print(board)
         right = (board.columns - 1) * discs.step_x + (discs.stagger if board.rows > 1 else 0)
-        box = (-discs.radius, -discs.radius, right + discs.radius, board.rows - 1 + discs.radius)
+        largest = discs.outer
+        box = (
+            -largest[:, 0].max(),
+            -largest[0].max(),
+            right + largest[:, -1].max(),
+            board.rows - 1 + largest[-1].max(),
+        )
     return tuple(float(b) * board.pitch_m for b in box)  # type: ignore[return-value]
 
 
@@ -80,7 +96,19 @@ def disc_print(board: Board) -> DiscPrint:
     radius = 0.5 * board.circle_diameter_ratio * spacing
     if not 0 < radius < 0.5:  # acircles: half a pitch is also what the nearest-row look-up needs
         raise ValueError(f"circle_diameter_ratio {board.circle_diameter_ratio} must be in (0, {1 / spacing:.2f})")
-    return DiscPrint(board.columns, board.rows, 2.0 if is_staggered else 1.0, 1.0 if is_staggered else 0.0, radius)
+    outer = np.full((board.rows, board.columns), radius)
+    hole = np.full(outer.shape, HOLE * radius if board.circle_style == "rings" else 0.0)
+    marked = np.unravel_index(np.array(board.marked_points, int), outer.shape)
+    if board.circle_style == "large":
+        outer[marked] *= LARGE
+    elif board.circle_style == "hollow":
+        hole[marked] = HOLE * radius
+    if outer.max() >= 0.5:
+        raise ValueError(
+            f"circle_diameter_ratio {board.circle_diameter_ratio} leaves no room for circles {LARGE} times as large"
+        )
+    step, stagger = (2.0, 1.0) if is_staggered else (1.0, 0.0)
+    return DiscPrint(board.columns, board.rows, step, stagger, radius, outer, hole)
 
 
 def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bits: int = 2) -> CellPrint:
@@ -90,13 +118,22 @@ def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bi
         ValueError: The dictionary is unknown or has too few markers.
     """
     if board.kind == "chessboard":
-        row, column = np.mgrid[: board.rows + 1, : board.columns + 1]
-        return CellPrint(np.arange(-1.0, board.columns + 1), np.arange(-1.0, board.rows + 1), 1 - (row + column) % 2)
+        return _chessboard_print(board)
     if board.kind == "charuco":
         return _charuco_print(board, is_legacy_charuco)
     if board.kind == "aprilgrid":
         return _aprilgrid_print(board, april_border_bits)
     raise ValueError(f"{board.kind} is not made of cells")
+
+
+def _chessboard_print(board: Board) -> CellPrint:
+    row, column = np.mgrid[: board.rows + 1, : board.columns + 1]
+    ink = 1 - (row + column) % 2
+    for column_swapped, row_swapped in board.swapped:
+        ink[row_swapped, column_swapped] ^= 1
+    discs = [(x - 0.5, y - 0.5, DISC_RADIUS, 1.0 - ink[y, x]) for x, y in board.discs]
+    edges = np.arange(-1.0, board.columns + 1), np.arange(-1.0, board.rows + 1)
+    return CellPrint(*edges, ink, np.array(discs).reshape(-1, 4))
 
 
 def _charuco_print(board: Board, is_legacy: bool) -> CellPrint:

@@ -14,6 +14,7 @@ sigma² - 0.14² + (1/4)²/12, the last term because the mean of four points is 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -29,7 +30,7 @@ from binocal.simulation.background import draw_background
 from binocal.simulation.coverage import Footprint, Sheet, sheet_of
 from binocal.simulation.imaging import rays_of_pixels, read_out, through_lens
 from binocal.simulation.layout import printed_extent_m, sheet_margin
-from binocal.simulation.optics import blur_image, blur_kernel
+from binocal.simulation.optics import BlurKernel, blur_image, blur_kernel
 from binocal.simulation.printed_shape import PrintedShape
 from binocal.simulation.visibility import field_angle_rad, visible_px
 
@@ -87,7 +88,7 @@ class RenderOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedImage:
-    """An image and the truth about it: ``corners_px`` in the board's order, NaN where outside the image.
+    """An image and the truth about it: ``corners_px`` in the board's order, NaN where outside the image, or not printed.
 
     For circles the truth is the projected centre, not the centroid of the ellipse.
     """
@@ -107,7 +108,8 @@ def render_image(
     light = render_light(camera, T_camera_board, board, options, rng)
     image = read_out(light, rng, noise_dn=options.noise_dn, gamma=options.gamma, bit_depth=options.bit_depth)
     points = board.object_points_m if options.shape is None else options.shape.points_m(board)
-    return RenderedImage(image, visible_px(camera, T_camera_board.apply(points)))
+    corners = visible_px(camera, T_camera_board.apply(points))
+    return RenderedImage(image, np.where(board.is_printed[:, None], corners, np.nan))
 
 
 def render_light(
@@ -118,42 +120,68 @@ def render_light(
     Raises:
         ValueError: The camera looks at the back of the board, or the board cannot be printed.
     """
-    if T_camera_board.t.shape != (3,):
-        raise ValueError(f"T_camera_board must be one pose, t (3,); got {T_camera_board.t.shape}")
-    eye = T_camera_board.inverse().t
-    if not eye[2] < 0:
-        raise ValueError("the camera looks at the back of the board; its z axis must point away from the camera")
+    return render_lights(camera, ((board, T_camera_board),), options, rng)
+
+
+def render_lights(
+    camera: Camera, boards: Sequence[tuple[Board, SE3]], options: RenderOptions, rng: np.random.Generator
+) -> Float[ndarray, "h w"]:
+    """As :func:`render_light`, of several boards with their ``T_camera_board``; a later one hides those before it.
+
+    Raises:
+        ValueError: The camera looks at the back of a board, or a board cannot be printed.
+    """
+    for _, T_camera_board in boards:
+        if T_camera_board.t.shape != (3,):
+            raise ValueError(f"T_camera_board must be one pose, t (3,); got {T_camera_board.t.shape}")
+        if not T_camera_board.inverse().t[2] < 0:
+            raise ValueError("the camera looks at the back of the board; its z axis must point away from the camera")
     kernel = blur_kernel(options.blur_px, options.blur_kind, options.motion_px, least_px=_SPREAD_PX)
-    rest = kernel.without(_SPREAD_PX**2 - 1 / (12 * _FINE**2))
     apron = 8 * (kernel.reach_px // 8 + 1)  # steps of 8, so that the rays serve other blurs too
     rays = rays_of_pixels(camera, apron)
     light = blur_image(
         draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn), kernel, scale=1
     )
-    window = _sheet_window(camera, T_camera_board, board, apron, kernel.reach_px)
-    if window is not None:
-        rows, columns = window
-        patch = rays[:, rows.start - 1 : rows.stop + 1, columns.start - 1 : columns.stop + 1]
-        sheet = _cached_sheet(board, options.is_legacy_charuco, options.april_border_bits)
-        board_light, coverage = _sample_board(patch, T_camera_board, board, sheet, options)
-        board_light = blur_image(board_light, rest, scale=_FINE)
-        height, width = coverage.shape
-        import cv2
-
-        board_light = cv2.resize(board_light, (width, height), interpolation=cv2.INTER_AREA)
-        coverage = blur_image(coverage, kernel, scale=1)
-        # the apron is the part of the scene beyond the image that the blur carries in
-        first_row, first_column = rows.start - 1 - apron, columns.start - 1 - apron
-        inside = np.s_[
-            max(-first_row, 0) : camera.size_wh[1] - first_row, max(-first_column, 0) : camera.size_wh[0] - first_column
-        ]
-        board_light, coverage = board_light[inside], coverage[inside]
-        target = np.s_[
-            max(first_row, 0) : max(first_row, 0) + coverage.shape[0],
-            max(first_column, 0) : max(first_column, 0) + coverage.shape[1],
-        ]
-        light[target] = board_light + (1 - coverage) * light[target]
+    for board, T_camera_board in boards:
+        window = _sheet_window(camera, T_camera_board, board, apron, kernel.reach_px)
+        if window is not None:
+            _lay_sheet(light, rays, window, apron, (camera, T_camera_board, board), options, kernel)
     return through_lens(light, camera, rays[2, apron + 1 : -apron - 1, apron + 1 : -apron - 1], options.vignetting)
+
+
+def _lay_sheet(
+    light: Float[ndarray, "h w"],
+    rays: Float[ndarray, "3 h2 w2"],
+    window: tuple[slice, slice],
+    apron: int,
+    seen: tuple[Camera, SE3, Board],
+    options: RenderOptions,
+    kernel: BlurKernel,
+) -> None:
+    """A board's sheet over what the pixels receive, in place."""
+    camera, T_camera_board, board = seen
+    rest = kernel.without(_SPREAD_PX**2 - 1 / (12 * _FINE**2))
+    rows, columns = window
+    patch = rays[:, rows.start - 1 : rows.stop + 1, columns.start - 1 : columns.stop + 1]
+    sheet = _cached_sheet(board, options.is_legacy_charuco, options.april_border_bits)
+    board_light, coverage = _sample_board(patch, T_camera_board, board, sheet, options)
+    board_light = blur_image(board_light, rest, scale=_FINE)
+    height, width = coverage.shape
+    import cv2
+
+    board_light = cv2.resize(board_light, (width, height), interpolation=cv2.INTER_AREA)
+    coverage = blur_image(coverage, kernel, scale=1)
+    # the apron is the part of the scene beyond the image that the blur carries in
+    first_row, first_column = rows.start - 1 - apron, columns.start - 1 - apron
+    inside = np.s_[
+        max(-first_row, 0) : camera.size_wh[1] - first_row, max(-first_column, 0) : camera.size_wh[0] - first_column
+    ]
+    board_light, coverage = board_light[inside], coverage[inside]
+    target = np.s_[
+        max(first_row, 0) : max(first_row, 0) + coverage.shape[0],
+        max(first_column, 0) : max(first_column, 0) + coverage.shape[1],
+    ]
+    light[target] = board_light + (1 - coverage) * light[target]
 
 
 @lru_cache(maxsize=8)

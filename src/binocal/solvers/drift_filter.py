@@ -73,20 +73,24 @@ class DriftState:
 
     @property
     def log_odds(self) -> Float[ndarray, "n"]:
-        """Of a jump that is not known yet, against none, times (1 - r) where the errors of neighbours are correlated by r.
+        """Of a jump before the last measurement that is not known yet, against none, times (1 - r) where neighbours' errors correlate by r.
+
+        One measurement alone, however far off, may be an outlier.
 
         How well r is known limits what measurements that are alike can tell together: without the factor the log odds that 5 % of
         still series exceed grow from 6 at r = 0 to 50 at 0.9.
         """
         is_new = self.jumped_at > self.settled_at[:, None, None]
         weights = self.weights
-        new, none = ((weights * part).sum(axis=(1, 2)) for part in (is_new, ~is_new))
+        is_older = self.jumped_at < self.n_measured - 1
+        new, none = ((weights * part).sum(axis=(1, 2)) for part in (is_new & is_older, ~is_new))
         odds = np.log(np.maximum(new, 1e-300)) - np.log(np.maximum(none, 1e-300))
         return odds * (1 - self.memory.correlation) ** 1.5
 
     def last_jump(self) -> Int[ndarray, "n"]:
         """The number of the measurement since which the level is another, by the heaviest hypothesis of a new jump."""
-        new = np.where(self.jumped_at > self.settled_at[:, None, None], self.log_weight, -np.inf)
+        is_new = (self.jumped_at > self.settled_at[:, None, None]) & (self.jumped_at < self.n_measured - 1)
+        new = np.where(is_new, self.log_weight, -np.inf)
         best = new.reshape(len(new), -1).argmax(axis=1)
         return self.jumped_at.reshape(len(new), -1)[np.arange(len(new)), best]
 

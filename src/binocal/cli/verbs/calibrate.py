@@ -9,14 +9,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from binocal.cli.arguments import check_calibrator, check_distinct, parse_board, parse_measured, parse_needs
+from binocal.cli.arguments import (
+    check_calibrator,
+    check_distinct,
+    only_board,
+    parse_boards,
+    parse_measured,
+    parse_needs,
+)
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, Force, Json, Measured, Needs, Seed, Threads, app, finite, present
+from binocal.cli.options import Boards, Force, Json, Measured, Needs, Seed, Threads, app, finite, present
 from binocal.errors import CalibrationError, DataError, FormatError
 
 if TYPE_CHECKING:
     from binocal.app import CalibrationRequest, CalibrationRun
-    from binocal.boards import Board
+    from binocal.boards import Board, BoardSet
     from binocal.solvers.prior import RigPrior
 
 
@@ -67,7 +74,7 @@ def calibrate(
     right: Annotated[
         str | None, typer.Option("--right", help="Right images, paired with the left by name.", metavar="GLOB")
     ] = None,
-    board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    board: Boards = None,
     corners: Annotated[
         Path | None,
         typer.Option(
@@ -284,22 +291,22 @@ def calibrate(
 
 
 def _parse_source(
-    images: tuple[str | None, str | None], board: str | None, corners: Path | None, zoom: Path | None
-) -> Board | None:
-    """The board of the images; None where the corners are in a file."""
+    images: tuple[str | None, str | None], board: list[str] | None, corners: Path | None, zoom: Path | None
+) -> Board | BoardSet | None:
+    """The board of the images, or the boards; None where the corners are in a file."""
     left, right = images
     if zoom is not None:
-        if (left, right, corners) != (None, None, None) or board is None:
+        if (left, right, corners) != (None, None, None) or not board:
             raise typer.BadParameter("--zoom SETTINGS.CSV goes with --board alone: the file names the images.")
-        return parse_board(board)
+        return only_board(parse_boards(board), "--zoom")
     if corners is None:
-        for name, given in (("--left", left), ("--right", right), ("--board", board)):
+        for name, given in (("--left", left), ("--right", right), ("--board", board or None)):
             if given is None:
                 raise typer.BadParameter(
                     f"missing option {name!r}: give --left, --right and --board, or --corners FILE."
                 )
-        return parse_board(str(board))
-    if (left, right, board) != (None, None, None):
+        return parse_boards(board or [])
+    if (left, right, board or None) != (None, None, None):
         raise typer.BadParameter("give either --left, --right and --board, or --corners FILE.")
     return None
 

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from binocal.cli.arguments import parse_board, parse_measured, parse_needs, parse_pixels
+from binocal.cli.arguments import parse_boards, parse_measured, parse_needs, parse_pixels
 from binocal.cli.exits import BELOW_QUALITY, FINE
-from binocal.cli.options import BOARD_HELP, Json, Measured, Needs, Threads, app, parse_range, present
+from binocal.cli.options import Boards, Json, Measured, Needs, Threads, app, parse_range, present
 from binocal.errors import DataError
 
 
@@ -24,7 +24,7 @@ def evaluate(
     ] = None,
     left: Annotated[str | None, typer.Option("--left", help="Held-out left images.", metavar="GLOB")] = None,
     right: Annotated[str | None, typer.Option("--right", help="Held-out right images.", metavar="GLOB")] = None,
-    board: Annotated[str | None, typer.Option("--board", help=BOARD_HELP, metavar="SPEC")] = None,
+    board: Boards = None,
     measured: Measured = None,
     require: Needs = None,
     threads: Threads = None,
@@ -37,7 +37,7 @@ def evaluate(
     from binocal.formats import rig_json
     from binocal.formats.rig_file import load_rig
 
-    on_images = (left, right, board)
+    on_images = (left, right, board or None)
     if (truth is None) == (on_images == (None, None, None)) or (truth is None and None in on_images):
         raise typer.BadParameter("give either --truth, or --left, --right and --board together.")
     if measured is not None and truth is not None:
@@ -60,7 +60,7 @@ def evaluate(
             text = "\n".join([*needs_text(report, calibration.rig.printed_unit), "", text])
         present(document, text, json)
         return FINE if is_good else BELOW_QUALITY
-    parsed, measured_m = parse_measured(measured, parse_board(str(board)))
+    parsed, measured_m = parse_measured(measured, parse_boards(board or []))
     calibration = rig_json.read_calibration(rig) if rig_json.holds_calibration(rig) else None
     read = load_rig(rig) if calibration is None else calibration.rig
     with progress_on_terminal() as progress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import Enum
 
 from binocal.boards import Board
@@ -80,10 +81,8 @@ def several_boards(board: Board, boards: Sequence[Lattice]) -> FoundBoard:
     """More than one board in the image, and which is meant cannot be known."""
     sizes = ", ".join(f"{columns}x{rows}" for columns, rows in (each.size for each in boards[:6]))
     more = ", ..." if len(boards) > 6 else ""
-    return not_found(
-        board.n_points,
-        f"more than one board in the image ({len(boards)}: {sizes}{more}); show one at a time, or cover the others",
-    )
+    text = f"more than one board in the image ({len(boards)}: {sizes}{more}); show one at a time, or cover the others"
+    return replace(not_found(board.n_points, text), is_among_several=True)
 
 
 def too_large(board: Board, size: tuple[int, int] | None) -> FoundBoard:

@@ -32,6 +32,11 @@ def boards_among(lattices: list[Lattice], main: Lattice | None = None, *, size_w
     return boards
 
 
+def is_board(lattice: Lattice, *, size_wh: tuple[int, int]) -> bool:
+    """Whether a lattice of an image of this size is a board by itself: regular and nearly complete."""
+    return _is_nearly_whole(lattice) and _is_regular(lattice, size_wh)
+
+
 def _is_nearly_whole(lattice: Lattice) -> bool:
     rows, columns = lattice.points_px.shape[:2]
     return min(rows, columns) >= MIN_LINES and lattice.n_seen >= MIN_SHARE_OF_OTHER * rows * columns

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.finding.marker_codes import BLURS_CELLS
-from binocal.detection.finding.marker_search import MarkerSighting
-from binocal.kernels.marker_grids import predict_each
+from binocal.detection.finding.marker_grid import MarkerGrid
+from binocal.kernels.marker_grids import FieldLens, predict_each
 from binocal.shapes import Bool, Float
 
 # Limits of a corner's distance from where its neighbours put it: in medians of all such distances, in steps of the lattice, which
@@ -22,23 +21,25 @@ REACH = 2  # lines: of corners that contradict each other the worst goes first, 
 
 
 def find_inconsistent(
-    sighting: MarkerSighting,
+    grid: MarkerGrid,
+    lens: FieldLens,
     points_px: Float[ndarray, "n 2"],
     covariance_px2: Float[ndarray, "n 2 2"],
     step_px: Float[ndarray, "n"],
+    *,
+    is_blurred: bool = False,
 ) -> Bool[ndarray, "n"]:
     """Which of the board's points, in its own order, lie elsewhere than their neighbours put them.
 
-    ``step_px`` is the shorter side of a marker's face at each.
+    ``step_px`` is the shorter side of a marker's face at each; ``is_blurred`` says that markers were read through much blur.
     """
-    grid = sighting.grid
     known = points_px[grid.points].copy()
     sigma = np.sqrt(0.5 * np.trace(covariance_px2, axis1=1, axis2=2))[grid.points]
     step = step_px[grid.points]
-    most = MOST_SCATTER_BLURRED if sighting.reading.blur_cells >= BLURS_CELLS[-1] else MOST_SCATTER
+    most = MOST_SCATTER_BLURRED if is_blurred else MOST_SCATTER
     is_wrong = np.zeros(known.shape[:2], bool)
     for _ in range(MOST_ROUNDS):
-        off = np.linalg.norm(predict_each(grid.lines, known, sighting.reading.lens, _trust(sigma)) - known, axis=-1)
+        off = np.linalg.norm(predict_each(grid.lines, known, lens, _trust(sigma)) - known, axis=-1)
         if not np.isfinite(off).any():
             break
         median = float(np.nanmedian(off / step))

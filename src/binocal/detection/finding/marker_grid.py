@@ -12,6 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.boards.marks import DISC_RADIUS
 from binocal.detection.finding.arrangements import charuco_squares
 from binocal.kernels.marker_grids import Lines
 from binocal.shapes import Bool, Float, Int
@@ -64,6 +65,21 @@ def charuco_grid(board: Board, is_legacy: bool) -> MarkerGrid:
         sign=1.0 if first == 0 else -1.0,
         free=0.5 * (1 - board.marker_m / board.pitch_m),
         faces=charuco_squares(board.columns, board.rows, first) - 1,
+        is_dark=False,
+        turns=0,
+        points=np.arange(columns * rows).reshape(rows, columns),
+        side=1.0,
+    )
+
+
+def marked_grid(board: Board) -> MarkerGrid:
+    """A chessboard some of whose squares are marked."""
+    columns, rows = board.columns, board.rows
+    return MarkerGrid(
+        Lines(np.arange(float(columns)), np.arange(float(rows)), 1.0),
+        sign=-1.0,
+        free=0.5 - DISC_RADIUS if board.discs else 0.5,
+        faces=np.array([*board.discs, *board.swapped], dtype=int).reshape(-1, 2) - 1,
         is_dark=False,
         turns=0,
         points=np.arange(columns * rows).reshape(rows, columns),

@@ -12,6 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy import ndarray
 
+from binocal.detection.finding.crossings import (
+    better_lens,
+    count_visible,
+    from_level,
+    grow_known,
+    points_at,
+    steps_at,
+)
 from binocal.detection.finding.groups import MAX_TURN_RAD
 from binocal.detection.finding.marker_codes import (
     BLURS_CELLS,
@@ -21,6 +29,7 @@ from binocal.detection.finding.marker_codes import (
     code_templates,
     face_cells,
 )
+from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import MarkerGrid
 from binocal.detection.finding.search import LevelSetting, scaled_saddles
 from binocal.detection.finding.xcorners import SaddleImage, find_saddles
@@ -28,8 +37,6 @@ from binocal.kernels import images
 from binocal.kernels.marker_grids import (
     FieldLens,
     find_faces,
-    grow_lattice,
-    predict_each,
     predict_places,
     read_cells,
     vote_on_tags,
@@ -45,20 +52,15 @@ LEAST_SURE, LEAST_LIKELY = (
 READ, FOREIGN = 0.55, 0.3  # a face with the code that its place demands; with another one or none
 LEAST_MEDIAN = 0.4  # of a board's faces
 FIELDS_RAD = tuple(np.radians([0, 100, 140, 180]))
-FOLLOWED_RAD = tuple(np.radians([0, 70, 100, 130, 160, 190]))
-WELL_EXPECTED_PX = 0.5  # median distance of corners from where those around them put them
-LEAST_BETTER_EXPECTED = 1.2
 LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to none
 MOST_COMPARED = 64  # faces by which lens and blur are chosen
 ENOUGH_SHARE = 0.9  # of the corners that should be seen
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
 LEAST_CELL_PX = 0.85  # of a marker's code: below it chance reads as well
-INSIDE_PX = 6.0
 FEW_FACES = (
     4  # with fewer, corners farther away are tried as neighbours: seen very obliquely the nearest lie in one row
 )
 LEAST_KEPT = 0.7  # of the corners that markers predict; with fewer a note says so
-PROBE = 0.2  # of a face's side, about a corner, to see how large it is there
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
 
 
@@ -120,31 +122,20 @@ class MarkerSighting:
 
     def points_px(self, n_points: int) -> Float[ndarray, "n 2"]:
         """The corners in the board's order, NaN where not seen."""
-        points = np.full((n_points, 2), np.nan)
-        points[self.grid.points] = self.known_px
-        return points
+        return points_at(self.grid, self.known_px, n_points)
 
     def steps_px(self, n_points: int) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
         """A marker's face at each corner seen, in the board's order, pixels: its shorter side, and its least height."""
-        lines, side = self.grid.lines, self.grid.side
-        row, column = np.nonzero(np.isfinite(self.known_px[..., 0]))
-        at = np.stack([lines.x[column], lines.y[row]], axis=-1)
-        about = at[:, None] + PROBE * side * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-        reached = predict_places(lines, self.known_px, self.reading.lens, about)
-        across, along = ((reached[:, k] - reached[:, k + 1]) / (2 * PROBE) for k in (0, 2))
-        lengths = np.linalg.norm([across, along], axis=-1)
-        spacing, height = np.full(n_points, np.nan), np.full(n_points, np.nan)
-        index = self.grid.points[row, column]
-        spacing[index] = lengths.min(axis=0)
-        area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
-        height[index] = area / np.maximum(lengths.max(axis=0), 1e-9)
-        return spacing, height
+        return steps_at(self.grid, self.known_px, self.reading.lens, n_points)
 
-    def expected_px(self) -> Float[ndarray, "rows columns 2"]:
-        """Where the crossings should lie."""
-        lines = self.grid.lines
-        places = np.stack(np.meshgrid(lines.x, lines.y), axis=-1)
-        return predict_places(lines, self.known_px, self.reading.lens, places)
+    def find_inconsistent(
+        self, points_px: Float[ndarray, "n 2"], covariance_px2: Float[ndarray, "n 2 2"], step_px: Float[ndarray, "n"]
+    ) -> Bool[ndarray, "n"]:
+        """Which of the board's points, in its own order, lie elsewhere than their neighbours put them."""
+        is_blurred = self.reading.blur_cells >= BLURS_CELLS[-1]
+        return find_inconsistent(
+            self.grid, self.reading.lens, points_px, covariance_px2, step_px, is_blurred=is_blurred
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,10 +209,7 @@ def search_markers(
         sightings = _best(sightings)
         if sightings:
             n_known = int(np.isfinite(sightings[0].known_px[..., 0]).sum())
-            if (
-                n_known >= ENOUGH_SHARE * _count_visible(sightings[0], image.shape)
-                or n_known < (1 + LEAST_GAIN) * n_before
-            ):
+            if n_known >= ENOUGH_SHARE * _n_visible(sightings[0], image.shape) or n_known < (1 + LEAST_GAIN) * n_before:
                 break
             n_before = n_known
     return MarkerSearch(sightings, is_mirrored and not sightings, n_markers)
@@ -245,17 +233,9 @@ def _find_faces(
         members, is_bright = find_faces(*links)
         if len(members) >= FEW_FACES:
             break
-    quads = _from_level(corners.points_px, scale)[members]
+    quads = from_level(corners.points_px, scale)[members]
     is_large = _areas(quads) >= least_side_px**2
     return peaks, _Faces(quads[is_large], is_bright[is_large])
-
-
-def _from_level(points: ndarray, scale: float) -> ndarray:
-    return (points - (0.5 * scale - 0.5)) / scale
-
-
-def _to_level(points: ndarray, scale: float) -> ndarray:
-    return points * scale + (0.5 * scale - 0.5)
 
 
 def _read_first(
@@ -415,29 +395,17 @@ def _join(sighting: MarkerSighting, readings: _Readings) -> None:
 
 
 def _grow(sighting: MarkerSighting, saddles: SaddleImage, scale: float, peaks: Float[ndarray, "k 2"]) -> None:
-    grid, way = sighting.grid, sighting.reading
-    sign = -grid.sign if way.is_inverted else grid.sign
-    known = _to_level(sighting.known_px, scale)
-    lens = way.lens.scaled(scale, 0.5 * scale - 0.5)
-    known, is_new = grow_lattice(saddles.smooth, grid.lines, sign, grid.free, known, peaks, lens)
-    sighting.known_px[is_new] = _from_level(known[is_new], scale)
+    way = sighting.reading
+    level = saddles, scale, peaks
+    sighting.known_px = grow_known(sighting.grid, sighting.known_px, way.lens, way.is_inverted, level)
 
 
 def _follow_lens(sighting: MarkerSighting, size_wh: tuple[int, int]) -> bool:
     """Takes the lens through which corners expect each other best, where without one they do not well; whether another one."""
-    way, lines = sighting.reading, sighting.grid.lines
-
-    def off_px(lens: FieldLens) -> float:
-        off = np.linalg.norm(predict_each(lines, sighting.known_px, lens) - sighting.known_px, axis=-1)
-        return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
-
-    least = off_px(way.lens)
-    if least < WELL_EXPECTED_PX:
+    best = better_lens(sighting.grid, sighting.known_px, sighting.reading.lens, size_wh)
+    if best is None:
         return False
-    best = min((FieldLens.of_field(size_wh, field_rad) for field_rad in FOLLOWED_RAD), key=off_px)
-    if off_px(best) >= least / LEAST_BETTER_EXPECTED:
-        return False
-    sighting.reading = replace(way, lens=best)
+    sighting.reading = replace(sighting.reading, lens=best)
     return True
 
 
@@ -493,8 +461,6 @@ def _best(sightings: list[MarkerSighting]) -> list[MarkerSighting]:
     return sorted(held, key=lambda s: -s.n_read)
 
 
-def _count_visible(sighting: MarkerSighting, shape: tuple[int, ...]) -> int:
+def _n_visible(sighting: MarkerSighting, shape: tuple[int, ...]) -> int:
     """How many crossings should lie inside the image."""
-    expected = sighting.expected_px()
-    size_wh = np.array(shape[::-1])
-    return int(((expected > INSIDE_PX) & (expected < size_wh - 1 - INSIDE_PX)).all(axis=-1).sum())
+    return count_visible(sighting.grid, sighting.known_px, sighting.reading.lens, (shape[1], shape[0]))

@@ -1,19 +1,28 @@
-"""Lattices of plain points (circle centres): steps are learnt from neighbours, then followed as they bend."""
+"""Lattices of plain points (circle centres), followed step by step as a lens bends them."""
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
 
-from binocal.shapes import Float, Int
+from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
+from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
+from binocal.shapes import Bool, Float, Int
 
 MAX_STEP_ERROR = 0.28  # of the step, between where a neighbour should be and where it is
-MAX_RADIUS_RATIO = 1.6  # between neighbouring spots
-_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
-_MOST_SEEDS = 60
+SURE_STEP_ERROR = 0.12  # taken before any that are farther off, which are looked at again with more neighbours known
+MAX_RADIUS_RATIO = 1.9  # between a spot and those about it: some boards mark spots by 1.4 times the diameter
+N_FOR_LENS = 12  # points, from which on they tell the image's lens
+_N_NEAR = 8
+_ALONG = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+_AROUND = np.array([[x, y] for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
+_MOST_SEEDS, _SEEDS_A_LATTICE = 12, 3
+_MOST_BASES = 3  # of a seed
+_MIN_SINE = 0.3  # between two steps; a staggered grid at 60 degrees of tilt has 0.6
+_MAX_AREA = 1.5  # of a basis's cell over the smallest one's: larger is a lattice of every second point
+_MAX_UNLIKE = 0.35  # between a step and the opposite one, of its length: through a lens of 180 degrees 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,88 +34,213 @@ class LatticePoints:
 
 
 def grow_point_lattices(
-    points: Float[ndarray, "n 2"], radii: Float[ndarray, "n"], *, least: int
+    points: Float[ndarray, "n 2"], radii: Float[ndarray, "n"], size_wh: tuple[int, int], *, least: int, enough: int
 ) -> list[LatticePoints]:
-    """Lattices of at least ``least`` points, the largest first; each point is in one at most."""
+    """Lattices of at least ``least`` points, the largest first; each point is in one at most.
+
+    The first one of ``enough`` points is taken, else the largest of those that a few seeds and their neighbours suggest.
+    """
     n = len(points)
-    if n < least:
+    if n < max(least, 4):
         return []
-    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    near = np.argsort(distance, axis=1)[:, : min(8, n - 1)]
+    near, distance = _nearest(points)
+    ways = points[near] - points[:, None]
+    unlike = np.linalg.norm(ways[:, :, None] + ways[:, None], axis=-1).min(axis=2) / distance
+    is_alike = np.abs(np.log(radii[near] / radii[:, None])) < np.log(MAX_RADIUS_RATIO)
     # Seeds first where the surroundings are regular: opposite neighbours at equal distances.
-    order = np.argsort(
-        [_irregularity(points, index, neighbours) for index, neighbours in enumerate(near)], kind="stable"
-    )
+    order = np.argsort(np.sort(unlike, axis=1)[:, :4].mean(axis=1), kind="stable")
     free = np.ones(n, bool)
-    lattices = []
-    for seed in order[:_MOST_SEEDS]:
-        if not free[seed]:
-            continue
-        for basis in _seed_bases(points, radii, int(seed), near[seed]):
-            cells = _grow_from(points, radii, int(seed), basis, free)
-            if len(cells) >= least:
-                members = np.array(list(cells))
-                free[members] = False
-                lattices.append(LatticePoints(members, np.array(list(cells.values()))))
-                break
-        if free.sum() < least:
+    lattices: list[LatticePoints] = []
+    tried = 0
+    while tried < _MOST_SEEDS and free.sum() >= least:
+        largest: LatticePoints | None = None
+        seeds = [int(seed) for seed in order if free[seed]][:_SEEDS_A_LATTICE]
+        order = order[~np.isin(order, seeds)]
+        tried += len(seeds)
+        if not seeds:
             break
+        for seed, basis in ((s, b) for s in seeds for b in _seed_bases(ways[s], unlike[s], is_alike[s])):
+            lattice = _grow_from(points, radii, seed, basis, free)
+            if least <= len(lattice.members) < enough:
+                lattice = complete_by_lens(lattice, points, free, size_wh)
+            if largest is None or len(lattice.members) > len(largest.members):
+                largest = lattice
+            if len(largest.members) >= enough:
+                break
+        if largest is not None and len(largest.members) >= least:
+            free[largest.members] = False
+            lattices.append(largest)
     return sorted(lattices, key=lambda lattice: -len(lattice.members))
 
 
-def _irregularity(points: ndarray, index: int, neighbours: ndarray) -> float:
-    way = points[neighbours] - points[index]
-    length = np.linalg.norm(way, axis=1)
-    mirrored = np.linalg.norm(way[:, None] + way[None], axis=-1).min(axis=1) / length
-    return float(np.sort(mirrored)[: min(4, len(mirrored))].mean())
+def is_seen_from_behind(points: Float[ndarray, "m 2"], cells: Int[ndarray, "m 2"]) -> bool:
+    """Whether the step along a lattice's first axis turns into that along its second the wrong way, at most of its cells."""
+    low = cells.min(axis=0)
+    grid = np.full((*(np.ptp(cells, axis=0) + 1), 2), np.nan)
+    grid[tuple((cells - low).T)] = points
+    a, b = np.diff(grid, axis=0)[:, :-1], np.diff(grid, axis=1)[:-1]
+    return bool(np.nansum(np.sign(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])) <= 0)
 
 
-def _seed_bases(points: ndarray, radii: ndarray, seed: int, near: ndarray) -> list[tuple[ndarray, ndarray]]:
-    """Pairs of steps to try: the nearest neighbours that do not lie on one line, of like size."""
-    alike = [i for i in near if 1 / MAX_RADIUS_RATIO < radii[i] / radii[seed] < MAX_RADIUS_RATIO]
-    ways = [points[i] - points[seed] for i in alike[:5]]
+def _nearest(points: Float[ndarray, "n 2"]) -> tuple[Int[ndarray, "n k"], Float[ndarray, "n k"]]:
+    """The nearest neighbours of each point, the nearest first, and their distances."""
+    x, y = points[:, 0], points[:, 1]
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    np.fill_diagonal(squared, np.inf)
+    k = min(_N_NEAR, len(points) - 1)
+    near = np.argpartition(squared, k - 1, axis=1)[:, :k]
+    distance = np.take_along_axis(squared, near, axis=1)
+    order = np.argsort(distance, axis=1)
+    return np.take_along_axis(near, order, axis=1), np.sqrt(np.take_along_axis(distance, order, axis=1))
+
+
+def _seed_bases(
+    ways: Float[ndarray, "k 2"], unlike: Float[ndarray, "k"], is_alike: Bool[ndarray, "k"]
+) -> list[tuple[ndarray, ndarray]]:
+    """Pairs of steps to try: to near neighbours of like size that do not lie on one line, first those with an opposite."""
+    alike = np.flatnonzero(is_alike)
+    chosen = ways[alike[np.argsort(unlike[alike] > _MAX_UNLIKE, kind="stable")]][:5]
     bases = []
-    for i, a in enumerate(ways):
-        for b in ways[i + 1 :]:
-            sine = abs(a[0] * b[1] - a[1] * b[0]) / (np.linalg.norm(a) * np.linalg.norm(b))
-            if sine > 0.35:
-                bases.append((a, b))
-    return bases[:3]
+    for i, a in enumerate(chosen):
+        for b in chosen[i + 1 :]:
+            area, lengths = abs(a[0] * b[1] - a[1] * b[0]), np.hypot(*a) * np.hypot(*b)
+            if area > _MIN_SINE * lengths:
+                bases.append((float(area / lengths), float(area), a, b))
+    smallest = min((area for _, area, _, _ in bases), default=0.0)
+    fitting = [basis for basis in bases if basis[1] < _MAX_AREA * smallest]
+    return [(a, b) for _, _, a, b in sorted(fitting, key=lambda basis: -basis[0])[:_MOST_BASES]]
 
 
 def _grow_from(
     points: ndarray, radii: ndarray, seed: int, basis: tuple[ndarray, ndarray], free: ndarray
-) -> dict[int, tuple[int, int]]:
-    """Cells of the points reached from the seed; each keeps the local steps, learnt on the way."""
-    cells = {seed: (0, 0)}
-    taken = {(0, 0): seed}
-    steps = {seed: (basis[0], basis[1])}
-    queue = deque([seed])
-    while queue:
-        point = queue.popleft()
-        x, y = cells[point]
-        for dx, dy in _STEPS:
-            cell = (x + dx, y + dy)
-            if cell in taken:
-                continue
-            axis = 0 if dx else 1
-            step = steps[point][axis] * (dx or dy)
-            off = points - (points[point] + step)
-            distance = np.hypot(off[:, 0], off[:, 1])
-            distance[~free] = np.inf
-            best = int(distance.argmin())
-            ratio = radii[best] / radii[point]
-            if (
-                distance[best] > MAX_STEP_ERROR * np.hypot(*step)
-                or best in cells
-                or not 1 / MAX_RADIUS_RATIO < ratio < MAX_RADIUS_RATIO
-            ):
-                continue
-            cells[best], taken[cell] = cell, best
-            learnt = (points[best] - points[point]) * (dx or dy)
-            both = list(steps[point])
-            both[axis] = 0.3 * both[axis] + 0.7 * learnt
-            steps[best] = (both[0], both[1])
-            queue.append(best)
-    return cells
+) -> LatticePoints:
+    """The lattice reached from a seed, one ring of cells a round, each from all that is known about it."""
+    index = np.where(free, np.arange(len(points)), -1)
+    index = index[index >= 0]
+    x, y, sizes = points[index, 0], points[index, 1], np.log(radii[index])
+    is_left = index != seed
+    place = np.full((1, 1), seed)
+    origin = np.zeros(2, int)  # of the array, in cells before the seed
+    while is_left.any():
+        place = np.pad(place, 1, constant_values=-1)
+        origin = origin + 1
+        # the seed's own steps hold about the seed alone
+        row, column, expected, step, size = _expect(place, points, np.log(radii), basis if place.size == 9 else None)
+        if not len(row):
+            break
+        squared = (expected[:, 0, None] - x) ** 2 + (expected[:, 1, None] - y) ** 2
+        squared[:, ~is_left] = np.inf
+        best = squared.argmin(axis=1)
+        off = np.sqrt(np.nan_to_num(squared[np.arange(len(best)), best], nan=np.inf)) / step
+        is_good = (off < MAX_STEP_ERROR) & (np.abs(sizes[best] - size) < np.log(MAX_RADIUS_RATIO))
+        if (is_good & (off < SURE_STEP_ERROR)).any():
+            is_good &= off < SURE_STEP_ERROR
+        taken = [k for k in np.argsort(off) if is_good[k]]
+        n_before = int(is_left.sum())
+        for k in taken:
+            if is_left[best[k]]:
+                place[row[k], column[k]] = index[best[k]]
+                is_left[best[k]] = False
+        if int(is_left.sum()) == n_before:
+            break
+        place, before = _trim(place)
+        origin = origin - before
+    cells = np.argwhere(place >= 0)
+    return LatticePoints(place[tuple(cells.T)], cells - origin)
+
+
+def complete_by_lens(
+    lattice: LatticePoints, points: Float[ndarray, "n 2"], free: Bool[ndarray, "n"], size_wh: tuple[int, int]
+) -> LatticePoints:
+    """The lattice with points beside it, and in its gaps, that lie where the image's own lens sees the plane's next cells.
+
+    Where a board is so near that steps grow by a third from one to the next, local steps mislead and the lens does not.
+    """
+    members, cells = lattice.members, lattice.cells
+    while len(members) >= N_FOR_LENS:
+        is_left = free.copy()
+        is_left[members] = False
+        index = np.flatnonzero(is_left)
+        around = np.unique((cells[:, None] + _AROUND).reshape(-1, 2), axis=0)
+        around = around[~(around[:, None] == cells).all(axis=2).any(axis=1)]
+        if not len(index):
+            break
+        way = [1.0, -1.0] if is_seen_from_behind(points[members], cells) else [1.0, 1.0]
+        steps = (around[:, None] + np.array([[0, 0], [1, 0], [0, 1]])).reshape(-1, 2)
+        options = LensFitOptions(is_robust=True, has_one_unknown=len(members) < N_FOR_WHOLE_LENS)
+        lens = fit_image_lens(cells * way, points[members], size_wh, options, places_xy=steps * way)
+        if lens is None:
+            break
+        expected, right, below = np.moveaxis(lens.images_px.reshape(-1, 3, 2), 1, 0)
+        step = np.minimum(np.hypot(*(right - expected).T), np.hypot(*(below - expected).T))
+        off = np.linalg.norm(points[index] - expected[:, None], axis=2) / step[:, None]
+        off = np.where(np.isfinite(off), off, np.inf)
+        best = off.argmin(axis=1)
+        is_best_of_point = off.argmin(axis=0)[best] == np.arange(len(around))
+        taken = is_best_of_point & (off.min(axis=1) < SURE_STEP_ERROR)
+        if not taken.any():
+            break
+        members, cells = np.r_[members, index[best[taken]]], np.concatenate([cells, around[taken]])
+    return LatticePoints(members, cells)
+
+
+def _trim(place: Int[ndarray, "h w"]) -> tuple[Int[ndarray, "h2 w2"], Int[ndarray, "2"]]:
+    """Without empty lines at the border, and how many were before the first cell."""
+    rows, columns = (np.flatnonzero((place >= 0).any(axis=axis)) for axis in (1, 0))
+    return place[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], np.array([rows[0], columns[0]])
+
+
+def _expect(
+    place: Int[ndarray, "h w"], points: ndarray, sizes: ndarray, basis: tuple[ndarray, ndarray] | None
+) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
+    """Empty cells beside taken ones: their rows and columns, where their points should be, the step and size there."""
+    is_taken = place >= 0
+    apron = 3
+    wide = np.pad(np.where(is_taken[..., None], points[place], np.nan), ((apron, apron), (apron, apron), (0, 0)))
+    wide[:apron] = wide[-apron:] = np.nan
+    wide[:, :apron] = wide[:, -apron:] = np.nan
+    known = np.pad(is_taken, 1)
+    beside = known[2:, 1:-1] | known[:-2, 1:-1] | known[1:-1, 2:] | known[1:-1, :-2]
+    row, column = np.nonzero(beside & ~is_taken)
+    at = np.stack([row, column], axis=-1) + apron
+    size_map = np.pad(np.where(is_taken, sizes[place], np.nan), apron, constant_values=np.nan)
+    expected, weight, step, size = _from_each_side(wide, size_map, at, basis)
+    is_known = np.isfinite(expected[..., 0])
+    weight = np.where(is_known, weight, 0.0)
+    total, n_sides = weight.sum(axis=0), np.maximum(is_known.sum(axis=0), 1)
+    expected = (weight[..., None] * np.where(is_known[..., None], expected, 0.0)).sum(axis=0)
+    expected = np.where(total[:, None] > 0, expected / np.maximum(total, 1e-12)[:, None], np.inf)
+    step, size = (np.where(is_known, values, 0.0).sum(axis=0) / n_sides for values in (step, size))
+    return row, column, expected, np.maximum(step, 1e-9), size
+
+
+def _from_each_side(
+    wide: ndarray, size_map: ndarray, at: ndarray, basis: tuple[ndarray, ndarray] | None
+) -> tuple[Float[ndarray, "4 k 2"], Float[ndarray, "4 k"], Float[ndarray, "4 k"], Float[ndarray, "4 k"]]:
+    """Where a cell's point should be by its neighbour on each side, with a weight, the step that leads there, and the size.
+
+    NaN where its steps are not known. The step is the one before, changed as the steps change along the line, else as
+    beside it, else the basis's.
+    """
+
+    def look(i: int, j: int = 0) -> ndarray:
+        place = at - i * _ALONG[:, None] + j * np.abs(_ALONG[:, None, ::-1])
+        return wide[place[..., 0], place[..., 1]]
+
+    first, second = look(1), look(2)
+    behind = first - second
+    if basis is None:
+        step = np.full(first.shape, np.nan)
+    else:
+        step = np.tile(np.array([basis[0], -basis[0], basis[1], -basis[1]])[:, None], (1, len(at), 1))
+    weight = np.full(first.shape[:2], 1e-3)
+    better = [(behind, 1.0), (2 * behind - (second - look(3)), 2.0)]
+    for side in (1, -1):  # the same step in the lines beside it
+        here = look(1, side)
+        beside = look(0, side) - here
+        better += [(beside, 1.0), (behind + (beside - (here - look(2, side))), 3.0)]
+    for other, worth in better:
+        is_known = np.isfinite(other[..., 0]) & (weight < worth)
+        step[is_known], weight[is_known] = other[is_known], worth
+    before = at - _ALONG[:, None]
+    return first + step, weight, np.hypot(step[..., 0], step[..., 1]), size_map[before[..., 0], before[..., 1]]

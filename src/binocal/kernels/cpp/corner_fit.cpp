@@ -27,13 +27,14 @@ void fit(const Image<Pixel>& image, double bottom, double top, const Doubles& in
     fit_board_corners(view, starts, n_corners, BoardPlaces{board_xy.data(), pitch}, fits);
 }
 
-double pool(const Doubles& fits, DoublesOut pooled) {
+double pool(const Doubles& fits, bool are_corners, DoublesOut pooled) {
     const std::size_t n = fits.size() / kResultSize;
     if (fits.size() != kResultSize * n || pooled.size() != kPooledSize * n)
         throw nb::value_error("fits must be (n, 26) and results (n, 11)");
     nb::gil_scoped_release unlocked;
-    return pool_corners(reinterpret_cast<const CornerResult*>(fits.data()), n,
-                        reinterpret_cast<PooledCorner*>(pooled.data()));
+    const auto* of_fits = reinterpret_cast<const CornerResult*>(fits.data());
+    auto* out = reinterpret_cast<PooledCorner*>(pooled.data());
+    return are_corners ? pool_corners(of_fits, n, out) : pool_points(of_fits, n, out);
 }
 
 // Where the fields of the records start, bytes, and the records' sizes: what the NumPy types of binocal.kernels.corner_fit must be.

@@ -506,6 +506,10 @@ class CornerFitter {
         if (!factorize(A, L)) return false;
         double* change = step.change;
         solve(L, gradient, change);
+        if (hold_blurs(change, A, gradient)) {
+            if (!factorize(A, L)) return false;
+            solve(L, gradient, change);
+        }
         const double length = std::hypot(change[kX], change[kY]);
         double shrink = 1;  // one step moves the corner by less than a third of the disc, turns by 0.4 rad, blurs by e^0.7
         shrink = std::min(shrink, std::max(1.0, region_.radius / 3) / std::max(1e-9, length));
@@ -519,6 +523,18 @@ class CornerFitter {
         step.decrement = 0;
         for (int i = 0; i < kParameters; ++i) step.decrement += gradient[i] * change[i];
         return true;
+    }
+
+    // Holds those blurs that stand at their bound and would go below it: a step that counts on them never ends. Whether there are any.
+    bool hold_blurs(const double* change, double (&A)[kParameters][kParameters], double* gradient) const {
+        bool holds = false;
+        for (int i : {kBlur1, kBlur2}) {
+            if (p_[i] > kLeastLogBlur || change[i] >= 0) continue;
+            for (int j = 0; j < kParameters; ++j) A[i][j] = A[j][i] = 0;
+            A[i][i] = 1, gradient[i] = 0;
+            holds = true;
+        }
+        return holds;
     }
 
     // Whether the corner stays near its start and in the image, if need be with a smaller disc.

@@ -228,8 +228,8 @@ inline void share_pixels(const CornerResult* fits, std::size_t n, PooledCorner* 
     }
 }
 
-// Pools n fits into n corners, NaN where there is none. Returns the noise's variance, grey levels^2.
-inline double pool_corners(const CornerResult* fits, std::size_t n, PooledCorner* out) {
+// Pools n fits of points that share no pixels, NaN where there is none. Returns the noise's variance, grey levels^2.
+inline double pool_points(const CornerResult* fits, std::size_t n, PooledCorner* out) {
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();
     std::vector<double> odd;
     for (std::size_t i = 0; i < n; ++i)
@@ -262,9 +262,15 @@ inline double pool_corners(const CornerResult* fits, std::size_t n, PooledCorner
         if (!is_fitted[i]) out[i].x = out[i].y = nan, std::fill_n(out[i].covariance, 4, nan);
         std::fill_n(out[i].cross, 4, is_fitted[i] ? 0 : nan);
     }
+    return noise2;
+}
+
+// Pools n fits into n corners, which share the pixels of the edges between them. Returns the noise's variance, grey levels^2.
+inline double pool_corners(const CornerResult* fits, std::size_t n, PooledCorner* out) {
+    const double noise2 = pool_points(fits, n, out);
     share_pixels(fits, n, out);
     for (std::size_t i = 0; i < n; ++i)
-        if (is_fitted[i]) add_sampling(fits[i], out[i]);
+        if (std::isfinite(out[i].x)) add_sampling(fits[i], out[i]);
     return noise2;
 }
 

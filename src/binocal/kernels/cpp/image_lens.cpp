@@ -7,7 +7,7 @@ namespace binocal {
 
 namespace {
 
-// Writes w, v, q, the centre (px) and a, then H over the board's own coordinates; the points' residuals, px, infinite behind the lens;
+// Writes w, v, q, the centre (px) and a, then H over the board's own coordinates, to rays with f = 1; the points' residuals, px, infinite behind the lens;
 // and where more places of the board lie. False where no plane can be fitted or it is seen from behind.
 bool fit(const Doubles& board_xy, const Doubles& points, double width, double height, double tolerance, int n_unknowns, bool is_robust,
          const Doubles& places, DoublesOut lens, DoublesOut lengths, DoublesOut images) {
@@ -34,9 +34,9 @@ bool fit(const Doubles& board_xy, const Doubles& points, double width, double he
     out[3] = found.centre_x(), out[4] = found.centre_y(), out[5] = found.p[5];
     const double scale = 1 / found.board_scale;
     for (int a = 0; a < 3; ++a) {
-        const double* row = found.H + 3 * a;
-        out[6 + 3 * a] = row[0] * scale, out[7 + 3 * a] = row[1] * scale;
-        out[8 + 3 * a] = row[2] - scale * (row[0] * found.board_x + row[1] * found.board_y);
+        const double *row = found.H + 3 * a, unit = a < 2 ? 1 : 1 / found.f;
+        out[6 + 3 * a] = unit * row[0] * scale, out[7 + 3 * a] = unit * row[1] * scale;
+        out[8 + 3 * a] = unit * (row[2] - scale * (row[0] * found.board_x + row[1] * found.board_y));
     }
     for (std::size_t i = 0; i < n; ++i)
         length[i] = fitted.lengths()[i] < kBehind_px ? fitted.lengths()[i] : std::numeric_limits<double>::infinity();

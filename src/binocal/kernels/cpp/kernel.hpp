@@ -70,6 +70,7 @@ void register_planes(nb::module_& module);
 void register_poses(nb::module_& module);
 void register_step(nb::module_& module);
 void register_corner_fit(nb::module_& module);
+void register_ellipse_fit(nb::module_& module);
 void register_image_lens(nb::module_& module);
 void register_joint_views(nb::module_& module);
 void register_library_words(nb::module_& module);

@@ -8,6 +8,7 @@ NB_MODULE(_kernel, module) {
     binocal::register_poses(module);
     binocal::register_step(module);
     binocal::register_corner_fit(module);
+    binocal::register_ellipse_fit(module);
     binocal::register_image_lens(module);
     binocal::register_joint_views(module);
     binocal::register_library_words(module);

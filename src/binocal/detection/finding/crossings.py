@@ -1,0 +1,104 @@
+"""The crossings of a board's lines that are known by name in an image: they tell where the others lie, and how large its faces are there.
+
+Nothing is assumed of the lens but that crossings near each other are seen through the same part of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray
+
+from binocal.detection.finding.marker_grid import MarkerGrid
+from binocal.detection.finding.xcorners import SaddleImage
+from binocal.kernels.marker_grids import FieldLens, grow_lattice, predict_each, predict_places
+from binocal.shapes import Float
+
+FOLLOWED_RAD = tuple(np.radians([0, 70, 100, 130, 160, 190]))
+WELL_EXPECTED_PX = 0.5  # median distance of corners from where those around them put them
+LEAST_BETTER_EXPECTED = 1.2
+INSIDE_PX = 6.0
+PROBE = 0.2  # of a face's side, about a corner, to see how large it is there
+
+
+def points_at(grid: MarkerGrid, known_px: Float[ndarray, "rows columns 2"], n_points: int) -> Float[ndarray, "n 2"]:
+    """The corners in the board's order, NaN where not known."""
+    points = np.full((n_points, 2), np.nan)
+    points[grid.points] = known_px
+    return points
+
+
+def steps_at(
+    grid: MarkerGrid, known_px: Float[ndarray, "rows columns 2"], lens: FieldLens, n_points: int
+) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """A face at each known corner, in the board's order, pixels: its shorter side, and its least height."""
+    lines, side = grid.lines, grid.side
+    row, column = np.nonzero(np.isfinite(known_px[..., 0]))
+    at = np.stack([lines.x[column], lines.y[row]], axis=-1)
+    about = at[:, None] + PROBE * side * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    reached = predict_places(lines, known_px, lens, about)
+    across, along = ((reached[:, k] - reached[:, k + 1]) / (2 * PROBE) for k in (0, 2))
+    lengths = np.linalg.norm([across, along], axis=-1)
+    spacing, height = np.full(n_points, np.nan), np.full(n_points, np.nan)
+    index = grid.points[row, column]
+    spacing[index] = lengths.min(axis=0)
+    area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
+    height[index] = area / np.maximum(lengths.max(axis=0), 1e-9)
+    return spacing, height
+
+
+def expected_at(
+    grid: MarkerGrid, known_px: Float[ndarray, "rows columns 2"], lens: FieldLens
+) -> Float[ndarray, "rows columns 2"]:
+    """Where the crossings should lie."""
+    places = np.stack(np.meshgrid(grid.lines.x, grid.lines.y), axis=-1)
+    return predict_places(grid.lines, known_px, lens, places)
+
+
+def count_visible(
+    grid: MarkerGrid, known_px: Float[ndarray, "rows columns 2"], lens: FieldLens, size_wh: tuple[int, int]
+) -> int:
+    """How many crossings should lie inside the image."""
+    expected = expected_at(grid, known_px, lens)
+    return int(((expected > INSIDE_PX) & (expected < np.array(size_wh) - 1 - INSIDE_PX)).all(axis=-1).sum())
+
+
+def grow_known(
+    grid: MarkerGrid,
+    known_px: Float[ndarray, "rows columns 2"],
+    lens: FieldLens,
+    is_inverted: bool,
+    level: tuple[SaddleImage, float, Float[ndarray, "k 2"]],
+) -> Float[ndarray, "rows columns 2"]:
+    """The known corners with those that the image at a scale has beside them, corner by corner; ``level`` has its saddles' places too."""
+    saddles, scale, peaks = level
+    known = to_level(known_px, scale)
+    at_scale = lens.scaled(scale, 0.5 * scale - 0.5)
+    sign = -grid.sign if is_inverted else grid.sign
+    known, is_new = grow_lattice(saddles.smooth, grid.lines, sign, grid.free, known, peaks, at_scale)
+    return np.where(is_new[..., None], from_level(known, scale), known_px)
+
+
+def better_lens(
+    grid: MarkerGrid, known_px: Float[ndarray, "rows columns 2"], lens: FieldLens, size_wh: tuple[int, int]
+) -> FieldLens | None:
+    """The lens through which corners expect each other best, where through this one they do not well; None if no other is better."""
+
+    def off_px(lens: FieldLens) -> float:
+        off = np.linalg.norm(predict_each(grid.lines, known_px, lens) - known_px, axis=-1)
+        return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
+
+    least = off_px(lens)
+    if least < WELL_EXPECTED_PX:
+        return None
+    best = min((FieldLens.of_field(size_wh, field_rad) for field_rad in FOLLOWED_RAD), key=off_px)
+    return best if off_px(best) < least / LEAST_BETTER_EXPECTED else None
+
+
+def from_level(points: ndarray, scale: float) -> ndarray:
+    """Points of an image at a scale in the image itself."""
+    return (points - (0.5 * scale - 0.5)) / scale
+
+
+def to_level(points: ndarray, scale: float) -> ndarray:
+    """Points of an image in the same at a scale."""
+    return points * scale + (0.5 * scale - 0.5)

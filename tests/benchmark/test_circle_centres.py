@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+
+from binocal.benchmark.circle_centres import run_circle_centres_benchmark
+from binocal.benchmark.ellipse_bound import ellipse_bound
+
+
+def outline(radius_px):
+    turn = 2 * np.pi * np.arange(24) / 24
+    return np.array([100.2, 80.7]) + radius_px * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+
+
+def test_the_bound_scales_as_noise_and_size():
+    def sigma(radius_px=15.0, noise_dn=2.0, most_dn=np.inf):
+        bound = ellipse_bound(outline(radius_px), blur_px=1.0, noise_dn=noise_dn, gap_px=30.0, most_dn=most_dn)
+        assert bound[0, 0] == pytest.approx(bound[1, 1], rel=0.02)
+        return np.sqrt(bound[0, 0])
+
+    assert sigma(noise_dn=4.0) == pytest.approx(2 * sigma())
+    assert sigma(radius_px=30.0) == pytest.approx(sigma() / np.sqrt(2), rel=0.05)  # the outline's length
+    # An edge's place is known to sigma sqrt(2 sqrt(pi) blur / length) / contrast, and half of it tells of each axis.
+    assert sigma() == pytest.approx(2 / 180 * np.sqrt(4 * np.sqrt(np.pi) / (2 * np.pi * 15)), rel=0.15)
+    assert sigma(most_dn=200.0) > 1.05 * sigma()
+
+
+def test_centres_are_at_the_bound_where_the_light_varies():
+    result = run_circle_centres_benchmark(images=1, cases=("shading",), boards=("circles:10x10:30mm",))
+    ours, cv = result["rows"]
+    assert ours["n_centres"] == 100 and ours["n_failed"] == 0 and ours["over_bound"] < 1.25  # measured 0.92
+    assert abs(ours["along_light_px"]) < 3 * ours["bias_error_px"] and ours["within_2_sigma"] > 0.85
+    assert cv["finder"] == "OpenCV" and "shading" in result["text"]
