@@ -15,6 +15,7 @@ from binocal.requirements.figures import COVERAGE
 from binocal.result import StereoCalibration
 from binocal.shapes import Float
 from binocal.uncertainty.maps import RangeMap
+from binocal.validation.overview import POOR_DEPTH_PERCENT, worst_percent
 
 GRAVE = frozenset(
     (
@@ -27,7 +28,6 @@ GRAVE = frozenset(
 FIRST_OF_CARE = ("cameras-exchanged", "exposures-apart")  # what a user can mend at once
 MOST_POINTS = 4
 UNCHECKED = "Nothing was checked anew: the corners of the calibration are not at hand"
-POOR_DEPTH_PERCENT = 5.0  # 95 % error at the worst place: ordinary rigs have 0.2 to 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,9 +116,7 @@ def depth_sentence(calibration: StereoCalibration, at_boards: RangeMap | None) -
 
 def poor_depth(at_boards: RangeMap | None) -> str:
     """What is to be said first of depth that is known badly somewhere; empty where it is known well all over."""
-    if at_boards is None or not at_boards.field.is_common.any():
-        return ""
-    worst = float(np.nanmax(_relative_percent(at_boards)))
+    worst = 0.0 if at_boards is None else worst_percent(at_boards)
     return "" if worst < POOR_DEPTH_PERCENT else f"depth is uncertain by up to {two_digits(worst)} % (95 %)"
 
 
