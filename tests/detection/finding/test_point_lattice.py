@@ -81,3 +81,12 @@ def test_points_without_order_make_no_lattice():
         len(lattice.members) < 20
         for lattice in grow_point_lattices(points, np.full(60, 9.0), SIZE_WH, least=4, enough=60)
     )
+
+
+def test_growth_ends_beside_spots_of_another_size():
+    x, y = np.meshgrid(np.arange(5.0), np.arange(4.0))
+    points = 50 * np.column_stack([x.ravel(), y.ravel()]) + 100
+    radii = np.where(np.arange(20) % 5 == 4, 40.0, 10.0)  # a column of large ones, nearer to their places than the rest
+    points[radii < 20] += np.random.default_rng(0).uniform(-2, 2, (16, 2))
+    lattices = grow_point_lattices(points, radii, SIZE_WH, least=8, enough=20)
+    assert set(np.flatnonzero(radii < 20)) <= set(lattices[0].members)

@@ -131,8 +131,9 @@ def _grow_from(
             break
         if (is_good & (off < SURE_STEP_ERROR)).any():
             is_good &= off < SURE_STEP_ERROR
-        for k in np.argsort(off)[: int(is_good.sum())]:  # the good ones are the nearest, but for those of unlike size
-            if is_good[k] and is_left[best[k]]:
+        good = np.flatnonzero(is_good)
+        for k in good[np.argsort(off[good], kind="stable")]:
+            if is_left[best[k]]:
                 canvas.put(cells[k], int(index[best[k]]))
                 is_left[best[k]] = False
     return canvas.lattice()
