@@ -5,6 +5,7 @@ import pytest
 
 from binocal.benchmark import marker_boards, marker_peers
 from binocal.benchmark.marker_boards import BOARDS, draw_marker_board, run_marker_board_benchmark
+from binocal.benchmark.marker_peers import marker_board_finders
 
 
 @pytest.mark.parametrize("case", ["covered", "stray"])
@@ -25,7 +26,14 @@ def test_the_table_has_a_row_for_each_finder():
     assert all(
         row["n_found"] >= 0.97 * row["n_visible"] and row["n_wrong"] == 0 and row["rms_px"] < 0.02 for row in own
     )
-    assert table["text"].count("\n") == 5
+    assert table["text"].count("\n") == 7
+
+
+def test_opencv_names_a_part_of_a_marked_board_as_it_is():
+    scene = draw_marker_board(BOARDS[2], "ordinary", 0, 1)
+    off = np.linalg.norm(marker_board_finders(scene.board)["OpenCV"](scene.image) - scene.corners_px, axis=1)
+    assert np.isfinite(off).all() and off.max() < 2.0  # measured 1.1
+    assert np.isnan(marker_board_finders(scene.board)["OpenCV"](np.full((480, 640), 90, np.uint8))).all()
 
 
 @pytest.mark.parametrize("is_installed", [False, True])

@@ -123,6 +123,26 @@ def test_marker_boards_agree_on_one_layout_and_other_families_are_named(tmp_path
         detect_pairs(pairs_in(tmp_path), parse_board("charuco:6x7:30mm:22mm:DICT_5X5_50"))
 
 
+def test_a_part_without_marks_leaves_its_camera_out_and_a_plain_board_is_told(tmp_path, shoot):
+    board = parse_board("chessboard:8x6:30mm:marked")
+    for i in range(3):
+        whole = shoot("chessboard:8x6:30mm:marked", TURNS[i], distance=2.0)
+        cv2.imwrite(str(tmp_path / f"left{i}.png"), whole.image)
+        image = shoot("chessboard:8x6:30mm:marked", distance=0.6, shift=(0.4, 0.0)).image if i == 2 else whole.image
+        cv2.imwrite(str(tmp_path / f"right{i}.png"), image // 2 + 40)
+    found = detect_pairs(pairs_in(tmp_path), board)
+    assert found.detections.right_is_seen.all(axis=1).tolist() == [True, True, False]
+    assert not found.detections.right_is_seen[2].any() and found.detections.left_is_seen.all()
+    (note,) = found.notes
+    assert note.startswith("view 2: used for the left camera only; right: a chessboard of")
+    for i in range(3):
+        for side in ("left", "right"):
+            plain = shoot("chessboard:8x6:30mm", TURNS[i], distance=2.0).image
+            cv2.imwrite(str(tmp_path / f"{side}{i}.png"), plain // (2 if side == "left" else 1))
+    with pytest.raises(DetectionError, match=r"but not the board's marked squares"):
+        detect_pairs(pairs_in(tmp_path), board)
+
+
 def test_equal_notes_are_one_with_the_side_and_the_views(folder, images):
     for i in range(4):
         covered = images[1][i].image.copy()

@@ -1,4 +1,4 @@
-"""Other finders of boards with markers, as :mod:`binocal.benchmark.marker_boards` runs them beside binocal's."""
+"""Other finders of boards with markers or marked squares, as :mod:`binocal.benchmark.marker_boards` runs them beside binocal's."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ def marker_board_finders(
     finders: dict[str, Callable[[ndarray], ndarray]] = {"binocal": lambda image: detect(image, board).points_px}
     if board.kind == "charuco":
         return finders | {"OpenCV": _opencv_charuco(board)}
+    if board.kind == "chessboard":
+        return finders | {"OpenCV": _opencv_marked(board)}
     finders["OpenCV"] = _opencv_tags(board, border_bits)
     if border_bits == 1 and has_apriltag():
         finders["AprilTag 3"] = _apriltag(board)
@@ -87,6 +89,41 @@ def _apriltag(board: Board) -> Callable[[ndarray], ndarray]:
                 first = 4 * place[tag.tag_id]
                 # From its bottom-left corner, counter-clockwise; (0, 0) is its top-left pixel's outer corner.
                 points[first : first + 4] = tag.corners[::-1] - 0.5
+        return points
+
+    return find
+
+
+def _opencv_marked(board: Board) -> Callable[[ndarray], ndarray]:
+    """The sector-based detector with all its flags, which finds parts and says in which squares it sees discs."""
+    import cv2
+
+    flags = cv2.CALIB_CB_MARKER | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    turns = [np.array(turn) for turn in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]])]
+    wanted = {tuple(square) for square in board.discs}
+
+    def find(image: ndarray) -> ndarray:
+        points = np.full((board.n_points, 2), np.nan)
+        is_found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+        if not is_found:
+            return points
+        grid = corners.reshape(*meta.shape, 2)
+        marks = np.argwhere(meta > 2)[:, ::-1] if meta is not None else np.zeros((0, 2), int)
+        across, along = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
+        flip = np.diag([1 if across[0] * along[1] > across[1] * along[0] else -1, 1])  # its rows may run the other way
+        cells = np.stack(np.meshgrid(np.arange(grid.shape[1]), np.arange(grid.shape[0])), axis=-1)
+        for turn in turns:
+            # Twice the middles of squares, in corners: that of the board's square (0, 0) is at (-1, -1).
+            way = turn @ flip
+            middles = (2 * marks + 1) @ way.T
+            for square in board.discs:
+                shift = 2 * np.array(square) - 1 - middles[0]
+                if {tuple(each) for each in ((middles + shift + 1) // 2).tolist()} != wanted:
+                    continue
+                column, row = np.moveaxis(cells @ way.T + shift // 2, -1, 0)
+                inside = (column >= 0) & (column < board.columns) & (row >= 0) & (row < board.rows)
+                points[row[inside] * board.columns + column[inside]] = grid[inside]
+                return points
         return points
 
     return find

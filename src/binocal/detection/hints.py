@@ -122,6 +122,8 @@ def _is_same(seen: SeenBoard, board: Board) -> bool:
     if seen.kind != board.kind:
         return False
     sizes = [(board.columns, board.rows)] + [(board.rows, board.columns)] * (board.kind in _SAME_TURNED)
+    if board.is_marked:  # which may be seen in part
+        return any(seen.columns <= columns and seen.rows <= rows for columns, rows in sizes)
     if not seen.family:
         return (seen.columns, seen.rows) in sizes
     is_size = seen.columns == board.columns and (
