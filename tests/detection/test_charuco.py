@@ -144,3 +144,22 @@ def test_few_corners_beside_many_markers_are_noted(shoot):
     assert found.is_found and "corners beside its markers could be measured" in found.note, (found.reason, found.note)
     seen = found.is_seen
     assert np.abs(found.points_px - shot.corners_px)[seen].max() < 0.3
+
+
+def test_markers_with_two_bits_of_border():
+    board = parse_board(SPEC)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
+    drawn = cv2.aruco.CharucoBoard((8, 6), board.pitch_m, board.marker_m, dictionary).generateImage(
+        (1600, 1200), borderBits=2
+    )
+    corners = np.array([[90.0, 60], [700, 110], [660, 540], [60, 500]], np.float32)
+    H = cv2.getPerspectiveTransform(
+        np.array([[-0.5, -0.5], [1599.5, -0.5], [1599.5, 1199.5], [-0.5, 1199.5]], np.float32), corners
+    )
+    image = cv2.warpPerspective(
+        cv2.GaussianBlur(drawn, (0, 0), 2.5), H, (800, 600), flags=cv2.INTER_AREA, borderValue=200
+    )
+    found = detect(image, board)
+    truth = cv2.perspectiveTransform(board.object_points_m[None, :, :2] / board.pitch_m * 200 - 0.5, H)[0]
+    assert found.is_found and found.is_seen.all(), found.reason
+    assert np.abs(found.points_px - truth).max() < 0.1

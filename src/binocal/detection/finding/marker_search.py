@@ -273,6 +273,8 @@ def _read_first(
                 ):
                     best, best_score, best_readings = ReadingWay(kind, lens, blur, is_inverted), score, readings
                     is_enough = _are_enough(readings.is_sure, area[largest])
+                elif is_enough:  # more blur than fits best reads worse and worse
+                    break
                 if lens.f_px == 0 and blur == BLURS_CELLS[1] and not is_enough:
                     mirrored_score = max(mirrored_score, _mirrored_score(values, templates))
             if is_enough:

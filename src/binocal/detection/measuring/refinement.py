@@ -12,6 +12,7 @@ from binocal.shapes import Bool, Float, Int
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
 WINDOW_PER_SPACING = 0.38  # half-width; the window's diagonal then ends at 0.54 of the way to the nearest corner
+LEAST_HALF_WINDOW_PX = 2
 LARGEST_HALF_WINDOW_PX = 11  # beyond it lens curvature costs more than the additional edge length gains
 
 EFFICIENCY_LOSS = (
@@ -62,6 +63,8 @@ def measure_corners(
     is_plain = np.isfinite(again[:, 0]) & ~np.isfinite(fitted.misfit)
     if strip_px is not None:
         is_plain &= ~_are_burnt_out(grey, again, reach_px, per_reach)
+        # Its least window reaches into the markers of squares of 10 px: off by 0.2 to 0.9 px there, with a sigma of 0.08.
+        is_plain &= ~(per_reach * reach_px < LEAST_HALF_WINDOW_PX)
         if is_plain.sum() < LEAST_UNFITTED_SHARE * (is_plain.sum() + np.isfinite(fitted.misfit).sum()):
             is_plain[:] = False
     if is_plain.any():
@@ -107,7 +110,7 @@ def _half_windows(
     """Which points have a window, and half its width in pixels."""
     usable = np.isfinite(points_px[:, 0]) & np.isfinite(spacing_px)
     half = np.zeros(len(points_px), int)
-    half[usable] = np.clip(np.floor(per_spacing * spacing_px[usable]), 2, LARGEST_HALF_WINDOW_PX)
+    half[usable] = np.clip(np.floor(per_spacing * spacing_px[usable]), LEAST_HALF_WINDOW_PX, LARGEST_HALF_WINDOW_PX)
     return usable, half
 
 
