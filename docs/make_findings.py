@@ -67,10 +67,23 @@ EXPLANATIONS = {
     "residuals-checked": """
         Residuals of neighbouring corners of an image should be independent. Real ones are alike to some degree; where the
         standard deviations were widened for what views have in common, that is counted.""",
+    "corners-not-of-rig": """
+        A report looks beside the rig's file for the corners that it was made from, and computes from them what the file says of
+        its views. A file with the same views in which the figures differ means that one of the two was changed afterwards:
+        calibrated anew without writing the other, or edited by hand. Which one, the figures cannot tell.""",
+    "rig-file-changed": """
+        Where the cameras did not see the board at one moment, each view has a right pose of its own, which fits its corners
+        whatever R and T are. A calibration ends where the deviations of these poses balance, to 0.26 standard errors on the
+        sets that were measured; R turned by 0.05 deg by hand leaves 3 to 12.""",
     "rig-does-not-fit": """
         Each view's board is fitted to both images under the rig, and to each image alone. A rig that is merely less certain
         than it says leaves nearly the same; three times as much, beyond what the pair left when it was calibrated, is
         no matter of standard deviations.""",
+    "rows-off": """
+        A rig that states no standard deviations, such as one of OpenCV's files, cannot be compared with new images in their
+        units. What the rectified rows of all views are off by alike (a constant and a slope along both axes of the image) can
+        be separated from what differs between the views: it is the rig's own error, whatever the noise. It is named where chance
+        makes it once in ten thousand times or less, and where it is larger than 0.1 px and than everything else in the rows.""",
     "rig-disagrees": """
         New images of a board are solved with the rig as a wide prior, and what they say is compared with the rig in units of
         both standard deviations, in every direction of which they tell anything. By chance a rig that has not changed is
