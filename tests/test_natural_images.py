@@ -308,7 +308,7 @@ def test_a_data_set_keeps_its_own_rig_with_a_reference(folder, tmp_path, capsys)
     dataset, held = euroc_of(folder, tmp_path / "set"), tmp_path / "held.json"
     assert run("recalibrate", "--dataset", dataset, "--reference", "--output", held) == 0
     kept = rig_json.read_calibration(held)
-    assert np.allclose(kept.rig.T_right_left.R, T.R) and kept.provenance["length_from"] == "T_BS in sensor.yaml, metres"
+    assert np.allclose(kept.rig.T_right_left.R, T.R) and kept.provenance["length_from"] == "T_BS in sensor.yaml"
     capsys.readouterr()
     assert run("check", "--dataset", dataset, "--rig", held, "--json") == 0
     assert json.loads(capsys.readouterr().out)["drift"]["against"] == "the file's own reference"
