@@ -94,6 +94,17 @@ def test_other_families_and_first_ids_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "spec", ["aprilgrid:4x3:30mm:0.3", "aprilgrid:4x3:30mm:0.3:tag25h9:10", "aprilgrid:2x3:30mm:0.3:7"]
+)
+def test_a_target_file_says_family_and_first_id_where_they_are_not_kalibrs(tmp_path, spec):
+    board, path = parse_board(spec), tmp_path / "target.yaml"
+    text = format_kalibr_target(board)
+    path.write_text(text)
+    assert load_board(str(path)) == board
+    assert ("tagFamily: 'tag25h9'" in text) == ("tag25h9" in spec) and ("startId" in text) == (board.first_tag_id > 0)
+
+
+@pytest.mark.parametrize(
     ("spec", "words"),
     [
         ("aprilgrid:4x3:30mm:0.3:tag99h1", "not a known tag family"),

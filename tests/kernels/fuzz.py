@@ -266,6 +266,12 @@ def predict_each(f: Fuzz) -> None:
     )
 
 
+def predict_steps(f: Fuzz) -> None:
+    on = lines(f)
+    known = f.places(len(on.x) * len(on.y)).reshape(len(on.y), len(on.x), 2)
+    marker_grids.predict_steps(on, known, field_lens(f), 0.2)
+
+
 def grow_lattice(f: Fuzz) -> None:
     on = lines(f)
     known = f.places(len(on.x) * len(on.y)).reshape(len(on.y), len(on.x), 2)
@@ -370,8 +376,8 @@ def match_templates(f: Fuzz) -> None:
 FUNCTIONS = [
     accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
     compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
-    follow_edges, link_corners, find_faces, read_cells, vote_on_tags, predict_places, predict_each, grow_lattice,
-    grow_groups, fit_corners, fit_ellipses, fit_image_lens, pool_corners, rectified_map,
+    follow_edges, link_corners, find_faces, read_cells, vote_on_tags, predict_places, predict_each, predict_steps,
+    grow_lattice, grow_groups, fit_corners, fit_ellipses, fit_image_lens, pool_corners, rectified_map,
     reduce_stereo, solve_definite, caught_words, match_templates,
 ]  # fmt: skip
 

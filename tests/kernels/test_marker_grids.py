@@ -99,6 +99,23 @@ def test_predictions_are_the_plain_statement_and_follow_the_lens(lens):
     assert np.isnan(marker_grids.predict_places(LINES, few, lens, places)).all()
 
 
+@pytest.mark.parametrize("lens", LENSES)
+def test_steps_are_differences_of_predictions(lens):
+    known = lattice(lens)
+    known[1, 2] = np.nan
+    steps = marker_grids.predict_steps(LINES, known, lens, 0.2)
+    assert np.array_equal(np.isnan(steps[..., 0, 0]), np.isnan(known[..., 0]))
+    for row, column in ((0, 0), (2, 3)):
+        at = np.array([LINES.x[column], LINES.y[row]])
+        for axis in (0, 1):
+            off = 0.2 * np.eye(2)[axis]
+            ahead, behind = (plain.predict(LINES, known, lens, at + sign * off) for sign in (1, -1))
+            # Weights about the corner itself, not about the places probed.
+            assert np.linalg.norm(steps[row, column, axis] - (ahead - behind) / 0.4) < 0.02 * np.linalg.norm(
+                ahead - behind
+            )
+
+
 def test_votes_leave_out_what_lies_elsewhere():
     grid = lattice()
     crossings = np.array([[[x, y], [x + 1, y], [x + 1, y + 1], [x, y + 1]] for y in (0, 2) for x in (0, 2, 4)])

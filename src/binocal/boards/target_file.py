@@ -85,10 +85,13 @@ def format_kalibr_target(board: Board) -> str:
     if not board.is_metric:
         raise ValueError("a target of Kalibr has its lengths in metres: give the board's a unit, such as 20mm")
     if board.kind == "aprilgrid":
-        if board.dictionary != "tag36h11" or board.first_tag_id != 0:
-            raise ValueError("Kalibr knows AprilGrids of the family tag36h11 from id 0 on alone")
-        lines = {"tagCols": board.columns, "tagRows": board.rows}
+        lines: dict[str, object] = {"tagCols": board.columns, "tagRows": board.rows}
         lines |= {"tagSize": board.pitch_m, "tagSpacing": board.tag_gap_ratio}
+        # Kalibr itself knows neither: its tags are of tag36h11, from id 0 on.
+        if (family := board.dictionary or "tag36h11") != "tag36h11":
+            lines["tagFamily"] = family
+        if board.first_tag_id:
+            lines["startId"] = board.first_tag_id
     else:
         lines = {"targetCols": board.columns, "targetRows": board.rows}
         if board.kind == "chessboard":

@@ -221,6 +221,9 @@ def predict_places(
 def predict_each(
     x: Floats, y: Floats, pitch: float, known: Floats, weight: Floats, cx: float, cy: float, f: float, points: Floats, /
 ) -> None: ...
+def predict_steps(
+    x: Floats, y: Floats, pitch: float, known: Floats, cx: float, cy: float, f: float, probe: float, steps: Floats, /
+) -> None: ...
 def grow_lattice(
     image: ndarray,
     x: Floats,

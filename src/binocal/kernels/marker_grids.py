@@ -133,6 +133,29 @@ def predict_each(
     return points
 
 
+def predict_steps(
+    lines: Lines, known_px: Float[ndarray, "rows columns 2"], lens: FieldLens, probe: float
+) -> Float[ndarray, "rows columns 2 2"]:
+    """What a unit of the board along its x, and along its y, is in the image at each known corner.
+
+    By differences over ``probe`` to both sides; NaN where unknown, or where the corners around do not tell.
+    """
+    known = np.array(known_px, dtype=float)
+    steps = np.empty((*known.shape, 2))
+    _kernel.predict_steps(
+        as_floats(lines.x),
+        as_floats(lines.y),
+        float(lines.pitch),
+        known,
+        lens.cx,
+        lens.cy,
+        lens.f_px,
+        float(probe),
+        steps,
+    )
+    return steps
+
+
 def grow_lattice(
     image: ndarray,
     lines: Lines,

@@ -5,12 +5,14 @@ Nothing is assumed of the lens but that crossings near each other are seen throu
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy import ndarray
 
 from binocal.detection.finding.marker_grid import MarkerGrid
 from binocal.detection.finding.xcorners import SaddleImage
-from binocal.kernels.marker_grids import FieldLens, grow_lattice, predict_each, predict_places
+from binocal.kernels.marker_grids import FieldLens, grow_lattice, predict_each, predict_places, predict_steps
 from binocal.shapes import Float
 
 FOLLOWED_RAD = tuple(np.radians([0, 70, 100, 130, 160, 190]))
@@ -33,11 +35,9 @@ def steps_at(
     """A face at each known corner, in the board's order, pixels: its shorter side, and its least height."""
     lines, side = grid.lines, grid.side
     row, column = np.nonzero(np.isfinite(known_px[..., 0]))
-    at = np.stack([lines.x[column], lines.y[row]], axis=-1)
-    about = at[:, None] + PROBE * side * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    reached = predict_places(lines, known_px, lens, about)
-    across, along = ((reached[:, k] - reached[:, k + 1]) / (2 * PROBE) for k in (0, 2))
-    lengths = np.linalg.norm([across, along], axis=-1)
+    steps = side * predict_steps(lines, known_px, lens, PROBE * side)[row, column]
+    across, along = steps[:, 0], steps[:, 1]
+    lengths = np.sqrt(np.sum([across**2, along**2], axis=-1))
     spacing, height = np.full(n_points, np.nan), np.full(n_points, np.nan)
     index = grid.points[row, column]
     spacing[index] = lengths.min(axis=0)
@@ -84,8 +84,9 @@ def better_lens(
     """The lens through which corners expect each other best, where through this one they do not well; None if no other is better."""
 
     def off_px(lens: FieldLens) -> float:
-        off = np.linalg.norm(predict_each(grid.lines, known_px, lens) - known_px, axis=-1)
-        return float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
+        off2 = ((predict_each(grid.lines, known_px, lens) - known_px) ** 2).sum(axis=-1)
+        off2 = off2[np.isfinite(off2)]
+        return math.sqrt(np.partition(off2, len(off2) // 2)[len(off2) // 2]) if len(off2) else math.inf
 
     least = off_px(lens)
     if least < WELL_EXPECTED_PX:

@@ -6,7 +6,8 @@ squares at their corners: lines at both sides of every tag make one lattice, who
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy import ndarray
@@ -40,22 +41,24 @@ class MarkerGrid:
     side: float
     """Of a face with a marker."""
 
-    def crossings(self) -> Int[ndarray, "m 4 2"]:
-        """The crossing (column, row) at each corner of each marker's face, in the marker's own order."""
-        return self.faces[:, None] + np.roll(_CORNERS, -self.turns, axis=0)
+    crossings: Int[ndarray, "m 4 2"] = field(init=False)
+    """The crossing (column, row) at each corner of each marker's face, in the marker's own order."""
+    corners: Float[ndarray, "m 4 2"] = field(init=False)
+    """The corners of each marker's face on the board, in the marker's own order."""
+    is_inner: Bool[ndarray, "m"] = field(init=False)
+    """Which faces have crossings at all four corners."""
 
-    def corners(self) -> Float[ndarray, "m 4 2"]:
-        """The corners of each marker's face on the board, in the marker's own order."""
-        crossings = self.crossings()
-        return np.stack([_at(self.lines.x, crossings[..., 0]), _at(self.lines.y, crossings[..., 1])], axis=-1)
-
-    @property
-    def is_inner(self) -> Bool[ndarray, "m"]:
-        """Which faces have crossings at all four corners."""
+    def __post_init__(self) -> None:
+        crossings = self.faces[:, None] + np.roll(_CORNERS, -self.turns, axis=0)
+        corners = np.stack([_at(self.lines.x, crossings[..., 0]), _at(self.lines.y, crossings[..., 1])], axis=-1)
         size = len(self.lines.x) - 1, len(self.lines.y) - 1
-        return np.all((self.faces >= 0) & (self.faces < size), axis=1)
+        is_inner = np.all((self.faces >= 0) & (self.faces < size), axis=1)
+        for name, value in (("crossings", crossings), ("corners", corners), ("is_inner", is_inner)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
 
 
+@lru_cache(maxsize=16)
 def charuco_grid(board: Board, is_legacy: bool) -> MarkerGrid:
     """A ChArUco board; the layouts differ where the number of rows is even."""
     first = 0 if is_legacy and board.rows % 2 == 0 else 1
@@ -87,6 +90,7 @@ def marked_grid(board: Board) -> MarkerGrid:
     )
 
 
+@lru_cache(maxsize=32)  # eight ways for each of four boards
 def april_grid(board: Board, is_bottom_up: bool, turns: int, border_share: float) -> MarkerGrid:
     """An AprilGrid; ``border_share`` is the width of the tags' border in their sides."""
     step = 1 + board.tag_gap_ratio

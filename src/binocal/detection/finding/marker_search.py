@@ -118,7 +118,7 @@ class MarkerSighting:
     @property
     def n_read(self) -> int:
         """Faces that bear the codes that their places demand."""
-        return int(np.count_nonzero(np.nan_to_num(self.likeness) >= READ))
+        return int(np.count_nonzero(self.likeness >= READ))
 
     def points_px(self, n_points: int) -> Float[ndarray, "n 2"]:
         """The corners in the board's order, NaN where not seen."""
@@ -208,8 +208,12 @@ def search_markers(
             _verify(image, sighting, first_id)
         sightings = _best(sightings)
         if sightings:
-            n_known = int(np.isfinite(sightings[0].known_px[..., 0]).sum())
-            if n_known >= ENOUGH_SHARE * _n_visible(sightings[0], image.shape) or n_known < (1 + LEAST_GAIN) * n_before:
+            n_known = int(np.count_nonzero(np.isfinite(sightings[0].known_px[..., 0])))
+            if (
+                n_known >= ENOUGH_SHARE * grids[0].points.size  # all that there are: the visible need not be counted
+                or n_known >= ENOUGH_SHARE * _n_visible(sightings[0], image.shape)
+                or n_known < (1 + LEAST_GAIN) * n_before
+            ):
                 break
             n_before = n_known
     return MarkerSearch(sightings, is_mirrored and not sightings, n_markers)
@@ -248,6 +252,8 @@ def _read_first(
 ) -> tuple[_Readings, ReadingWay | None, bool]:
     """The faces read in the way that reads most of them best; whether they are rather those of a mirror image."""
     best, best_score, mirrored_score = None, 0.0, 0.0
+    best_readings = _Readings(np.zeros((0, 4, 2)), np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, bool))
+    is_enough = False
     for is_inverted in (False, True):
         quads = faces.of(grids[0].is_dark == is_inverted)
         if len(quads) == 0:
@@ -265,17 +271,21 @@ def _read_first(
                 if score > best_score * (
                     LEAST_BETTER if best is not None and best.lens.f_px == 0 and lens.f_px else 1.0
                 ):
-                    best, best_score = ReadingWay(kind, lens, blur, is_inverted), score
+                    best, best_score, best_readings = ReadingWay(kind, lens, blur, is_inverted), score, readings
                     is_enough = _are_enough(readings.is_sure, area[largest])
                 if lens.f_px == 0 and blur == BLURS_CELLS[1] and not is_enough:
                     mirrored_score = max(mirrored_score, _mirrored_score(values, templates))
-            if is_enough and best is not None:
-                return _read_all(image, quads, best, first_id, n_ids), best, False
+            if is_enough:
+                break
+        if is_enough:
+            break
     if best is None:
-        return _Readings(np.zeros((0, 4, 2)), np.zeros(0, int), np.zeros(0, np.float32), np.zeros(0, bool)), None, False
+        return best_readings, None, False
     quads = faces.of(grids[0].is_dark == best.is_inverted)
-    is_mirrored = mirrored_score > 2 * best_score and mirrored_score >= 2 * SURE
-    return _read_all(image, quads, best, first_id, n_ids), best, is_mirrored
+    if len(quads) > MOST_COMPARED:
+        best_readings = _read_all(image, quads, best, first_id, n_ids)
+    is_mirrored = not is_enough and mirrored_score > 2 * best_score and mirrored_score >= 2 * SURE
+    return best_readings, best, is_mirrored
 
 
 def _lenses(kinds: Sequence[CodeKind], size_wh: tuple[int, int]) -> Iterator[tuple[CodeKind, FieldLens]]:
@@ -332,7 +342,7 @@ def _vote(readings: _Readings, way: ReadingWay, grids: Sequence[MarkerGrid], lea
         ]
         if len(of_grid.index) == 0:
             continue
-        corners = grid.corners()[of_grid.index]
+        corners = grid.corners[of_grid.index]
         group, agreeing, disagreeing = vote_on_tags(of_grid.quads_px, corners, way.lens, grid.lines.pitch)
         is_voter = (agreeing > disagreeing) | ((agreeing >= disagreeing) & of_grid.is_sure)
         best, members = 0.0, np.zeros(len(group), bool)
@@ -351,7 +361,7 @@ def _vote(readings: _Readings, way: ReadingWay, grids: Sequence[MarkerGrid], lea
 
 def _start(number: int, grid: MarkerGrid, way: ReadingWay, voters: _Readings) -> MarkerSighting:
     known = np.full((*grid.points.shape, 2), np.nan)
-    crossings = grid.crossings()
+    crossings = grid.crossings
     for k in np.argsort(voters.likeness, kind="stable"):
         column, row = crossings[voters.index[k]].T
         known[row, column] = voters.quads_px[k]
@@ -363,8 +373,8 @@ def _join(sighting: MarkerSighting, readings: _Readings) -> None:
     grid, way = sighting.grid, sighting.reading
     readings = readings[readings.index < len(grid.faces)]
     inner = grid.is_inner[readings.index] & (readings.likeness >= LIKELY)
-    crossings = grid.crossings()
-    corners = grid.corners()
+    crossings = grid.crossings
+    corners = grid.corners
     for _ in range(3):
         column, row = crossings[readings.index[inner]].reshape(-1, 2).T
         open_ = ~np.isfinite(sighting.known_px[row, column, 0]).reshape(-1, 4).all(axis=1)
@@ -412,7 +422,7 @@ def _follow_lens(sighting: MarkerSighting, size_wh: tuple[int, int]) -> bool:
 def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: int) -> None:
     """Reads every face where it should be; takes grown corners back whose faces all bear something else."""
     grid, way = sighting.grid, sighting.reading
-    crossings, corners = grid.crossings(), grid.corners()
+    crossings, corners = grid.crossings, grid.corners
     rows, columns = sighting.known_px.shape[:2]
     padded = np.full((rows + 2, columns + 2, 2), np.nan)
     padded[1:-1, 1:-1] = sighting.known_px
@@ -432,7 +442,7 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
         templates = code_templates(way.kind, first_id, len(grid.faces), way.blur_cells)
         rest = templates.residual(values)
         likeness[inside] = (rest * templates.turned[np.nonzero(inside)[0], 0]).sum(axis=1)
-    sighting.n_predicted = _count_crossings(crossings[np.nan_to_num(likeness) >= READ], rows, columns)
+    sighting.n_predicted = _count_crossings(crossings[likeness >= READ], rows, columns)
     likeness[~is_judged] = np.nan
     sighting.likeness = likeness
     known = likeness[np.isfinite(likeness) & is_known.all(axis=1)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -31,6 +32,7 @@ def dictionary_names() -> list[str]:
     return sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
 
 
+@lru_cache(maxsize=32)
 def get_dictionary(name: str) -> cv2.aruco.Dictionary:
     """OpenCV's dictionary of that name.
 

@@ -215,6 +215,31 @@ void predict_each(const Doubles& x, const Doubles& y, double pitch, const Double
         }
 }
 
+// What a unit of the board along x, and along y, is in the image at each known corner, by differences over `probe` to both sides.
+void predict_steps(const Doubles& x, const Doubles& y, double pitch, const DoublesOut& known, double cx, double cy, double f, double probe, DoublesOut steps) {
+    const std::size_t n = x.size() * y.size();
+    require(n > 0 && known.size() == 2 * n && steps.size() == 4 * n && pitch > 0 && probe > 0, "the arrays' lengths do not match");
+    const Lens lens{cx, cy, f};
+    const Board board(x, y, pitch, lens, known.data());
+    double* out = steps.data();
+    nb::gil_scoped_release unlocked;
+    for (int row = 0; row < board.rows(); ++row)
+        for (int column = 0; column < board.columns(); ++column, out += 4) {
+            std::fill_n(out, 4, kNan);
+            if (!board.is_known(column, row)) continue;
+            LocalMap map = empty_map(lens);
+            int used[kNearest], n_used = 0;
+            const Point place = board.place(column, row);
+            if (!board.map_about(place, column, row, map, used, n_used, board.columns() + board.rows())) continue;
+            for (int axis : {0, 1}) {
+                Point ahead, behind, to = place, from = place;
+                to[axis] += probe, from[axis] -= probe;
+                if (!map(to, ahead) || !map(from, behind)) continue;
+                for (int k : {0, 1}) out[2 * axis + k] = (ahead[k] - behind[k]) / (2 * probe);
+            }
+        }
+}
+
 struct Print {
     double sign;  // 1 where the face beyond corner (0, 0) is bright
     double free;  // how far from a corner, along both axes, nothing else is printed
@@ -382,6 +407,7 @@ void grow_lattice(const Plane<Pixel>& image, const Doubles& x, const Doubles& y,
 void register_marker_growth(nb::module_& module) {
     module.def("predict_places", &predict_places);
     module.def("predict_each", &predict_each);
+    module.def("predict_steps", &predict_steps);
     module.def("grow_lattice", &grow_lattice<std::uint8_t>);
     module.def("grow_lattice", &grow_lattice<float>);
 }

@@ -138,35 +138,87 @@ void follow_edges(const Plane<Pixel>& plane, const Places& start, const Places& 
     for (std::size_t i = 0; i < n; ++i) out[i] = is_edge(read, from[2 * i], from[2 * i + 1], to[2 * i], to[2 * i + 1], s[i], c[i]);
 }
 
+// Points in square cells, some in each: those near a place lie in the cells around its own.
+class PointCells {
+  public:
+    PointCells(const double* points, int n, double per_cell) : points_(points) {
+        double low[2] = {std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()}, high[2] = {-low[0], -low[1]};
+        std::vector<int> finite;
+        for (int i = 0; i < n; ++i) {
+            if (!std::isfinite(points[2 * i]) || !std::isfinite(points[2 * i + 1])) continue;
+            finite.push_back(i);
+            for (int k : {0, 1}) low[k] = std::min(low[k], points[2 * i + k]), high[k] = std::max(high[k], points[2 * i + k]);
+        }
+        if (finite.empty()) return;
+        const double width = high[0] - low[0], height = high[1] - low[1];
+        // Along a line there are as many cells as points at most.
+        side_ = std::max({std::sqrt(width * height * per_cell / finite.size()), std::max(width, height) * per_cell / finite.size(), 1e-9});
+        for (int k : {0, 1}) {
+            const double count = (high[k] - low[k]) / side_;  // no number where the points are too far apart for one
+            low_[k] = low[k], size_[k] = count < n ? static_cast<int>(count) + 1 : 1;
+        }
+        first_.assign(static_cast<std::size_t>(size_[0]) * size_[1] + 1, 0);
+        for (int i : finite) ++first_[index(i) + 1];
+        for (std::size_t c = 1; c < first_.size(); ++c) first_[c] += first_[c - 1];
+        members_.resize(finite.size());
+        std::vector<int> next(first_.begin(), first_.end() - 1);
+        for (int i : finite) members_[next[index(i)]++] = i;
+    }
+
+    // The nearest points to one of them, nearest first; returns how many there are, `most` at most.
+    int nearest(int self, int most, int* out) {
+        const double x = points_[2 * self], y = points_[2 * self + 1];
+        const int column = cell(self, 0), row = cell(self, 1);
+        for (int reach = 1;; ++reach) {
+            const int left = std::max(column - reach, 0), right = std::min(column + reach, size_[0] - 1);
+            const int above = std::max(row - reach, 0), below = std::min(row + reach, size_[1] - 1);
+            keys_.clear();
+            for (int r = above; r <= below; ++r)
+                for (int k = first_[r * size_[0] + left]; k < first_[r * size_[0] + right + 1]; ++k) {
+                    const int other = members_[k];
+                    const double dx = points_[2 * other] - x, dy = points_[2 * other + 1] - y;
+                    if (other != self) keys_.push_back({dx * dx + dy * dy, other});
+                }
+            const int count = std::min(most, static_cast<int>(keys_.size()));
+            const bool is_all = left == 0 && above == 0 && right == size_[0] - 1 && below == size_[1] - 1;
+            if (count < most && !is_all) continue;
+            std::nth_element(keys_.begin(), keys_.begin() + count, keys_.end());
+            std::sort(keys_.begin(), keys_.begin() + count);
+            // Beyond the cells looked at there is none nearer than their border.
+            if (!is_all) {
+                double border = std::numeric_limits<double>::infinity();
+                if (left > 0) border = std::min(border, x - (low_[0] + left * side_));
+                if (above > 0) border = std::min(border, y - (low_[1] + above * side_));
+                if (right < size_[0] - 1) border = std::min(border, low_[0] + (right + 1) * side_ - x);
+                if (below < size_[1] - 1) border = std::min(border, low_[1] + (below + 1) * side_ - y);
+                if (keys_[count - 1].first > border * border) continue;
+            }
+            for (int k = 0; k < count; ++k) out[k] = keys_[k].second;
+            return count;
+        }
+    }
+
+  private:
+    int cell(int i, int axis) const {
+        return size_[axis] == 1 ? 0 : std::min(static_cast<int>((points_[2 * i + axis] - low_[axis]) / side_), size_[axis] - 1);
+    }
+    std::size_t index(int i) const { return static_cast<std::size_t>(cell(i, 1)) * size_[0] + cell(i, 0); }
+
+    const double* points_;
+    double low_[2] = {0, 0}, side_ = 1;
+    int size_[2] = {0, 0};
+    std::vector<int> first_, members_;
+    std::vector<std::pair<double, int>> keys_;
+};
+
 // The nearest points to each point, nearest first, -1 where there are no more. Points that are no numbers have none and are none's.
 template <int kNearest>
 std::vector<std::array<int, kNearest>> find_nearest(const double* points, int n_points) {
-    std::vector<int> order;
-    order.reserve(n_points);
-    for (int i = 0; i < n_points; ++i)
-        if (std::isfinite(points[2 * i]) && std::isfinite(points[2 * i + 1])) order.push_back(i);
-    const int n = static_cast<int>(order.size());
-    std::sort(order.begin(), order.end(), [&](int a, int b) { return points[2 * a + 1] < points[2 * b + 1]; });
     std::vector<std::array<int, kNearest>> nearest(n_points);
-    for (auto& none : nearest) none.fill(-1);
-    for (int place = 0; place < n; ++place) {
-        const int self = order[place];
-        const double x = points[2 * self], y = points[2 * self + 1];
-        double distance[kNearest];
-        std::fill_n(distance, kNearest, std::numeric_limits<double>::infinity());
-        auto& near = nearest[self];
-        int up = place - 1, down = place + 1;
-        while (up >= 0 || down < n) {
-            const double above = up >= 0 ? y - points[2 * order[up] + 1] : std::numeric_limits<double>::infinity();
-            const double below = down < n ? points[2 * order[down] + 1] - y : std::numeric_limits<double>::infinity();
-            if (std::pow(std::min(above, below), 2) > distance[kNearest - 1]) break;
-            const int other = above < below ? order[up--] : order[down++];
-            const double dx = points[2 * other] - x, dy = points[2 * other + 1] - y, d = dx * dx + dy * dy;
-            if (!(d < distance[kNearest - 1])) continue;
-            int k = kNearest - 1;
-            for (; k > 0 && distance[k - 1] > d; --k) distance[k] = distance[k - 1], near[k] = near[k - 1];
-            distance[k] = d, near[k] = other;
-        }
+    PointCells cells(points, n_points, kNearest / 3.0);
+    for (int i = 0; i < n_points; ++i) {
+        nearest[i].fill(-1);
+        if (std::isfinite(points[2 * i]) && std::isfinite(points[2 * i + 1])) cells.nearest(i, kNearest, nearest[i].data());
     }
     return nearest;
 }
