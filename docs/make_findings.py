@@ -117,6 +117,20 @@ EXPLANATIONS = {
     "board-in-too-few-pairs": """
         A pair counts if both images show the board; three are needed. The message says in how many images of each camera it
         was found, and the commonest reason why it was not in the others.""",
+    "points-off-target": """
+        A target that is no plane is laid into every image by least squares. What its points then miss their corners by is a
+        tenth of its size in the image, in most views: no lens does that. The points may be in another order than the corners, z
+        may point the other way, or one axis be in another unit.""",
+    "solid-target-seen-flat": """
+        Six points that do not lie in one plane determine a camera from one image. Of a cube of which every image shows one face
+        alone, nothing but planes is seen, and which face is which plane's is all that the target adds.""",
+    "points-beyond-their-sigma": """
+        Points whose places are stated with a standard deviation are moved within it. How far they moved is compared with it;
+        at one and a half times the stated, RMS over all points, the statement does not hold, and the stated sigmas of the rig,
+        which rest on it, do not either.""",
+    "view-off-target": """
+        The points of a target that is no plane, laid into this image by least squares, miss its corners by a tenth of its
+        size or more, or the image shows too few of them for a pose.""",
     "several-boards": """
         In half of the images or more, more than one chessboard is seen and nothing says which is meant. `binocal calibrate` and
         `binocal evaluate` then take every board of the SPEC for a view of its own; this refusal is what `binocal.detect_pairs`

@@ -389,6 +389,18 @@ _KINDS = (
         _SIZE_OF_CORNERS, DataError,
     ),
     FindingKind(
+        "points-off-target", _R, "The corners are no image of the target's points in most views",
+        "the {camera} corners are no image of the target's points in {n_off} of {n_views} views (first: {view}): the points' places, "
+        "their units or their order are wrong; {remedy}.",
+        "give each point's x, y and z in one unit, and the corners in the order of the points", InconsistentViewsError,
+    ),
+    FindingKind(
+        "solid-target-seen-flat", _R, "No view shows enough points of a target that is no plane",
+        "none of the {n_views} {camera} views shows six points or more that do not lie in one plane, and so none determines the camera; "
+        "{remedy}.",
+        "show more sides of the target, or calibrate with a flat board", DegenerateGeometryError,
+    ),
+    FindingKind(
         "columns-and-rows-exchanged", _R, "The corners fit the board only column by column",
         "columns and rows are exchanged in the {camera} corners ({n_fitting} of {n_views} views fit the board only when read "
         "column by column): {remedy}.",
@@ -627,6 +639,12 @@ _KINDS = (
         "add views with the board elsewhere and tilted otherwise",
     ),
     FindingKind(
+        "points-beyond-their-sigma", _W, "The target's points lie farther from where they were given than stated",
+        "the target's points lie {ratio:.1f} times as far from where they were given as their standard deviations say (RMS), point {worst} "
+        "{worst_ratio:.1f} times; {remedy}.",
+        "state larger ones (object_sigma_m), or see to the order and the places of the points",
+    ),
+    FindingKind(
         "board-scale-uncertain", _W, "The print is off by so much that its scale is in doubt",
         "the board's print is off ({stretch_percent:+.2f} % longer along x than along y), so its scale, which no image tells, may be "
         "off as well: lengths and baseline are known to {scale_percent:.2f} % at best; {remedy}.",
@@ -754,6 +772,10 @@ _KINDS = (
     FindingKind(
         "view-off-grid", _N, "A view whose corners are no image of the board",
         "the {camera} corners do not lie on the board's grid (order or detection is wrong); {remedy}", "detect them again",
+    ),
+    FindingKind(
+        "view-off-target", _N, "A view whose corners are no image of the target",
+        "the {camera} corners are no image of the target's points, or too few of them; {remedy}", "detect this view again",
     ),
     FindingKind(
         "view-at-one-point", _N, "A view whose corners coincide",

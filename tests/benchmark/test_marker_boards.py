@@ -3,12 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocal.benchmark.marker_boards import (
-    BOARDS,
-    draw_marker_board,
-    marker_board_finders,
-    run_marker_board_benchmark,
-)
+from binocal.benchmark import marker_boards, marker_peers
+from binocal.benchmark.marker_boards import BOARDS, draw_marker_board, run_marker_board_benchmark
+from binocal.benchmark.marker_peers import marker_board_finders
 
 
 @pytest.mark.parametrize("case", ["covered", "stray"])
@@ -37,3 +34,16 @@ def test_opencv_names_a_part_of_a_marked_board_as_it_is():
     off = np.linalg.norm(marker_board_finders(scene.board)["OpenCV"](scene.image) - scene.corners_px, axis=1)
     assert np.isfinite(off).all() and off.max() < 2.0  # measured 1.1
     assert np.isnan(marker_board_finders(scene.board)["OpenCV"](np.full((480, 640), 90, np.uint8))).all()
+
+
+@pytest.mark.parametrize("is_installed", [False, True])
+def test_apriltag_is_run_where_it_reads_the_tags_and_its_absence_is_said(monkeypatch, is_installed):
+    found = np.full((144, 2), np.nan)
+    monkeypatch.setattr(marker_boards, "has_apriltag", lambda: is_installed)
+    monkeypatch.setattr(marker_peers, "has_apriltag", lambda: is_installed)
+    monkeypatch.setattr(marker_peers, "_apriltag", lambda board: lambda image: found)
+    table = run_marker_board_benchmark(images=1, cases=("one bit",))
+    names = ["binocal", "OpenCV", "AprilTag 3"][: 3 if is_installed else 2]
+    assert [(row["board"], row["finder"]) for row in table["rows"]] == [(BOARDS[1], name) for name in names]
+    assert table["rows"][0]["n_found"] >= 0.97 * table["rows"][0]["n_visible"]
+    assert ("pip install pupil-apriltags" in table["text"]) == (not is_installed)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
-from binocal.benchmark import related, related_cases
+from binocal.benchmark import related as benchmark
+from binocal.experiments import related, related_cases
 from binocal.experiments.case import Case, by_calibrator
 from binocal.experiments.run import rows_of, run_cases
 
@@ -41,11 +44,11 @@ def test_a_method_that_is_always_refused_has_a_row():
     case = Case("two views", lambda seed: few, related_cases.rig_errors, (by_calibrator("lm"),))
     (row,) = rows_of_case(case, (0, 1))
     assert row["failures"] == row["seeds"] == 2 and row["median"] is None
-    assert "lm" in related._text([row], "m") and "refused with every seed" in related._text([row], "m")
+    assert "lm" in benchmark._text([row], "m") and "refused with every seed" in benchmark._text([row], "m")
 
 
 def test_turning_cameras_are_measured_pair_by_pair():
-    make = related_cases.turning(3, 1.0, is_always_another=False, pivot_m=0.0)
+    make = related_cases.Turning(3, 1.0)
     (case,) = (Case("turning", make, related_cases.turning_errors, (by_calibrator("rectangles"),), related.WANG_2019),)
     rows = {row["criterion"]: row for row in rows_of_case(case, (0,))}
     # half of what the cited work reports
@@ -62,9 +65,12 @@ def test_a_cubic_goes_through_the_settings_and_follows_a_cubic():
 
 def test_unknown_groups_are_named():
     with pytest.raises(ValueError, match="no group 'nothing' of cases; there are boards"):
-        related.run_related_benchmark(groups=("nothing",))
+        benchmark.run_related_benchmark(groups=("nothing",))
 
 
-def test_every_group_names_its_cases_once(tmp_path):
-    names = [case.name for cases in related.all_cases(tmp_path).values() for case in cases]
+def test_every_group_names_its_cases_once_and_other_processes_can_have_them():
+    groups = related.related_groups()
+    names = [case.name for cases in groups.values() for case in cases]
     assert len(names) == len(set(names)) >= 14
+    assert all(case.table == name for name, cases in groups.items() for case in cases)
+    assert [case.name for case in pickle.loads(pickle.dumps(related.own_input_cases()))] == names[1:]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import sys
@@ -156,3 +157,17 @@ def test_a_sample_of_rendered_boards_is_halved_and_drl_reaches_its_bound():
     assert drl["error of a single side"] == pytest.approx(bound["error of a single side"], rel=0.05)
     assert drl[paper.CORRECT] >= 95 and prior[paper.CORRECT] < 10
     assert {"left.fx", "translation.z", "iterations"} <= set(drl)
+
+
+def test_one_method_on_many_cases_is_read_downward():
+    rows = [row("zoom", f"case {i}", float(i), bound=0.5 if i else None, paper="0.12") for i in range(6)]
+    (table,) = tables_of(rows, "3")
+    assert table.header == ("case", "zoom", "bound", "paper") and len(table.lines) == 6
+    assert table.lines[2] == ("case 2", "2 (1.8..2.2)", "0.5", "0.12") and table.lines[0][2] == ""
+
+
+def test_a_figure_shows_its_own_part_alone():
+    other = dataclasses.replace(row("elsewhere", "c", 7.0), table="training")
+    part = Part("3", "Table 3", "", (Figure("length", "length (mm)", "Lengths", "lengths.svg"),))
+    files = page_files(Page("Page", (), (part,), (*ROWS, other)))
+    assert ">drl<" in files["lengths.svg"] and "elsewhere" not in files["lengths.svg"]

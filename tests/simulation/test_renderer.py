@@ -196,3 +196,14 @@ def test_other_camera_models_render_what_a_finder_agrees_with(model):
     error = corners[nearest] - image.corners_px
     assert np.abs(error.mean(axis=0)).max() < 0.03
     assert np.abs(error).max() < 0.2
+
+
+def test_what_stands_behind_the_board_is_seen_where_no_board_is():
+    rig = table2_rig()
+    scene = sample_scene(rig, CHESS, 1, np.random.default_rng(4), LARGE)
+    wall = np.full((960, 1280), 77.0)
+    light = render_light(rig.left, scene.T_left_board[0], CHESS, RenderOptions(behind=wall), np.random.default_rng(0))
+    assert 0.2 < np.mean(np.abs(light - 77) < 1e-3) < 0.9
+    with pytest.raises(ValueError, match=r"rows and columns, \(960, 1280\); got \(2, 2\)"):
+        wrong = RenderOptions(behind=np.zeros((2, 2)))
+        render_light(rig.left, scene.T_left_board[0], CHESS, wrong, np.random.default_rng(0))

@@ -6,7 +6,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,26 +16,44 @@ from binocal.app.corners import detect_corners
 from binocal.app.natural import NaturalOptions, NaturalRun, NaturalSource, recalibrate, source_of_dataset
 from binocal.boards import Board
 from binocal.calibrators import calibrate
+from binocal.datasets.folder import list_pairs
 from binocal.errors import BinocalError
 from binocal.evidence import Detections
 from binocal.experiments.case import Result
 from binocal.experiments.journal import Key
-from binocal.experiments.options import ExperimentOptions
+from binocal.experiments.options import LEAST_PAIRS, ExperimentOptions
 from binocal.experiments.row import NAN, Measured, Row, row_of
 from binocal.geometry import so3
 from binocal.threads import n_threads
 
 TABLE, STREET_TABLE = "4", "streets"
-PAPER_SECONDS = {"KITTI": 5.2, "Cityscapes": 6.2, "measured": 5.3}
-"""What the paper's table 4 prints for its algorithm, 1000 images each, on a machine that it does not name."""
-MEASURED, BOARD = "measured", "chessboard:11x8:20mm"
-BOARD_METHODS = ("drl", "lm", "from-guess", "opencv", "alternating", "absolute-orientation", "heterogeneous")
+MEASURED, STREETS = "measured", ("KITTI", "Cityscapes", "measured, streets")
+PAPER_SECONDS = {
+    "drl": {"KITTI": 5.2, "Cityscapes": 6.2, MEASURED: 5.3},
+    "alternating": {"KITTI": 9.2, "Cityscapes": 16.5, MEASURED: 20.2},
+    "absolute-orientation": {"KITTI": 7.1, "Cityscapes": 14.7, MEASURED: 21.1},
+    "heterogeneous": {"KITTI": 8.1, "Cityscapes": 13.0, MEASURED: 18.5},
+    "wide-field": {"KITTI": 10.4, "Cityscapes": 11.1, MEASURED: 15.4},
+}
+"""What the paper's table 4 prints, 1000 images each, on a machine that it does not name."""
+OPENCV = "opencv, its own corners"
+BOARD_METHODS = {
+    "drl": ("drl", "brown4"),
+    "lm": ("lm", "brown4"),
+    "from-guess": ("from-guess", "brown4"),
+    OPENCV: ("opencv", "brown4"),
+    "alternating": ("alternating", "brown4"),
+    "absolute-orientation": ("absolute-orientation", "brown4"),
+    "heterogeneous": ("heterogeneous", "brown4"),
+    "wide-field": ("wide-field", "fisheye4"),
+}
+"""Calibrator and camera model by the rows' name."""
 STREET_METHODS = ("drl", "portfolio", "lm")
 MAX_PAIRS = 8
 LONG_S = 5.0  # a solve that took longer is not repeated
 REPEATS = 3
 
-MOST_TIMED = len(BOARD_METHODS) + 2 * len(STREET_METHODS)
+MOST_TIMED = len(BOARD_METHODS) + len(STREETS) * len(STREET_METHODS)
 
 Has = Callable[[str, str], bool]
 """Whether a case's method is in the journal already."""
@@ -42,28 +62,52 @@ Has = Callable[[str, str], bool]
 def timed_results(options: ExperimentOptions, has: Has) -> Iterator[Result]:
     """Every set and method that the journal lacks. Nothing else should run meanwhile."""
     yield from _measured(options, has)
-    for name in ("KITTI", "Cityscapes"):
+    for name in STREETS:
         yield from _street(name, options, has)
 
 
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The corners of each board's images, and the seconds that finding them took, decoding included."""
+
+    corners: tuple[Detections, ...]
+    elapsed_s: float
+
+
 def _measured(options: ExperimentOptions, has: Has) -> Iterator[Result]:
-    """Boards before the paper's rig: all images are decoded and searched, every calibrator has the same corners."""
+    """Both boards before the paper's rig: all images are decoded and searched, every calibrator has the same corners, but for OpenCV."""
     missing = [name for name in BOARD_METHODS if not has(MEASURED, name)]
     if not missing:
         return
-    from binocal.experiments.sets import render_boards
+    from binocal.experiments.sets import render_measured
 
-    board = Board.from_spec(BOARD)
     with tempfile.TemporaryDirectory(prefix="binocal-experiment-") as place:
-        folder = Path(place)
-        render_boards(board, max(options.n_images // 2, 8), options.seed, folder)
-        left, right = str(folder / "left_*.png"), str(folder / "right_*.png")
-        decode_s = _decode_s(sorted(folder.glob("*.png")))
-        begin = time.perf_counter()
-        corners = detect_corners(left, right, board)
-        found_s = time.perf_counter() - begin
+        folders = render_measured(max(options.n_images // 2, 2 * LEAST_PAIRS), options.seed, Path(place))
+        decode_s = _decode_s(sorted(Path(place).glob("*/*.png")))
+        ours = _found(folders, lambda left, right, board: detect_corners(left, right, board))
         for name in missing:
-            yield _timed_calibration(name, corners, options.seed, decode_s, found_s)
+            try:
+                found = _found(folders, _by_opencv) if name == OPENCV else ours
+            except BinocalError as error:
+                yield Result(MEASURED, name, options.seed, failure=" ".join(str(error).split()))
+                continue
+            yield _timed_calibration(name, found, options.seed, decode_s)
+
+
+def _found(folders: Mapping[str, Path], find: Callable[[str, str, Board], Detections]) -> Found:
+    begin = time.perf_counter()
+    corners = tuple(
+        find(str(folder / "left_*.png"), str(folder / "right_*.png"), Board.from_spec(spec))
+        for spec, folder in folders.items()
+    )
+    return Found(corners, time.perf_counter() - begin)
+
+
+def _by_opencv(left: str, right: str, board: Board) -> Detections:
+    """As OpenCV's users find them."""
+    from binocal.benchmark.opencv_peer import detect_with_opencv
+
+    return detect_with_opencv(list_pairs(left, right).pairs, board)
 
 
 def _decode_s(paths: list[Path]) -> float:
@@ -77,76 +121,115 @@ def _decode_s(paths: list[Path]) -> float:
     return time.perf_counter() - begin
 
 
-def _timed_calibration(name: str, corners: Detections, seed: int, decode_s: float, found_s: float) -> Result:
+def _timed_calibration(name: str, found: Found, seed: int, decode_s: float) -> Result:
+    """A rig from each board; seconds are those of both together."""
     taken: list[float] = []
+    calibrator, model = BOARD_METHODS[name]
     try:
         while len(taken) < REPEATS and (not taken or taken[0] < LONG_S):
             begin = time.perf_counter()
-            calibrate(corners, calibrator=name, model="brown4")
+            for corners in found.corners:
+                calibrate(corners, calibrator=calibrator, model=model)
             taken.append(time.perf_counter() - begin)
     except BinocalError as error:
         return Result(MEASURED, name, seed, failure=" ".join(str(error).split()))
     solve_s = float(np.median(taken))
+    total_s = found.elapsed_s + solve_s
     return Result(
         MEASURED,
         name,
         seed,
         (
-            Measured("seconds from images", "s", found_s + solve_s, table=TABLE),
-            Measured("times the decoding of the images", "", (found_s + solve_s) / decode_s, table=TABLE),
+            Measured("seconds from images", "s", total_s, table=TABLE),
+            Measured("times the decoding of the images", "", total_s / decode_s, table=TABLE),
             Measured("seconds from corners", "s", solve_s, table=TABLE),
+            Measured("pairs", "", float(sum(c.n_views for c in found.corners)), table=TABLE),
         ),
     )
 
 
 def _street(name: str, options: ExperimentOptions, has: Has) -> Iterator[Result]:
-    """A street: the pairs that tell most are matched; the rig that is given is the old one."""
+    """Streets: the pairs that tell most are matched; the rig that is given is the old one."""
     methods = STREET_METHODS[:1] if options.is_quick else STREET_METHODS
     missing = [method for method in methods if not has(name, method)]
-    given = {"KITTI": options.kitti, "Cityscapes": options.cityscapes}[name]
-    if not missing or (given is None and name == "Cityscapes" and options.is_quick):
+    given = {"KITTI": options.kitti, "Cityscapes": options.cityscapes}.get(name)
+    if not missing or (given is None and name != "KITTI" and options.is_quick):
         return
     n_pairs = 2 if options.is_quick else MAX_PAIRS
     with tempfile.TemporaryDirectory(prefix="binocal-experiment-") as place:
         if given is None:
-            from binocal.experiments.sets import STREETS, render_street
+            from binocal.experiments.sets import render_streets, rig_of_street
 
-            pairs = render_street(STREETS[name], 2 * n_pairs, options.seed, Path(place))
-            source = NaturalSource(pairs, STREETS[name].rig())
+            known = MEASURED if name not in ("KITTI", "Cityscapes") else name
+            pairs = render_streets(known, 2 * n_pairs, options.seed, Path(place))
+            source = NaturalSource(pairs, rig_of_street(known))
         else:
             source = source_of_dataset(f"{name.lower()}:{given}", None)
-        whole: NaturalRun | None = None
+        others: Others | None = None
         for method in missing:
             try:
                 run = recalibrate(source, NaturalOptions(max_pairs=n_pairs, seed=options.seed, calibrator=method))
-                whole = whole or recalibrate(source, NaturalOptions(max_pairs=2 * n_pairs, seed=options.seed))
+                others = others or _other_choices(source, n_pairs, options.seed)
+                times = _street_times(source, options, n_pairs, method)
             except BinocalError as error:
                 yield Result(name, method, options.seed, failure=" ".join(str(error).split()))
                 continue
-            yield Result(name, method, options.seed, (*_street_times(run), *_street_errors(run, whole, source)))
+            yield Result(name, method, options.seed, (*times, *_street_errors(run, others, source)))
 
 
-def _street_times(run: NaturalRun) -> tuple[Measured, ...]:
+def _street_times(source: NaturalSource, options: ExperimentOptions, n_pairs: int, method: str) -> tuple[Measured, ...]:
+    """Of as many pairs as the set has images for; where there are fewer, they repeat, and nothing but the time is taken from that."""
+    from binocal.experiments.sets import repeated
+
+    pairs = repeated(source.pairs, options.n_images // 2)
+    run = recalibrate(
+        replace(source, pairs=pairs), NaturalOptions(max_pairs=n_pairs, seed=options.seed, calibrator=method)
+    )
     total = run.elapsed_s["matching"] + run.elapsed_s["solve"]
     return (
         Measured("seconds from images", "s", total, table=TABLE),
         Measured("seconds from corners", "s", run.elapsed_s["solve"], table=TABLE),
+        Measured("pairs", "", float(len(pairs)), table=TABLE),
     )
 
 
-def _street_errors(run: NaturalRun, whole: NaturalRun, source: NaturalSource) -> tuple[Measured, ...]:
-    """How far the result is from the set's own rig, and what it costs that some of the pairs are left out."""
+class Others(NamedTuple):
+    """What the choice of pairs is measured against: twice as many of them, and as many evenly over the drive."""
+
+    twice: NaturalRun
+    even: NaturalRun
+
+
+def _other_choices(source: NaturalSource, n_pairs: int, seed: int) -> Others:
+    even = np.unique(np.linspace(0, len(source.pairs) - 1, n_pairs).round().astype(int))
+    evenly = replace(source, pairs=[source.pairs[i] for i in even])
+    return Others(
+        recalibrate(source, NaturalOptions(max_pairs=2 * n_pairs, seed=seed)),
+        recalibrate(evenly, NaturalOptions(max_pairs=n_pairs, seed=seed)),
+    )
+
+
+def _street_errors(run: NaturalRun, others: Others, source: NaturalSource) -> tuple[Measured, ...]:
+    """How far the result is from the set's own rig, which pairs were chosen, and what the choice costs and gains."""
     found, given = run.calibration.rig.T_right_left, source.rig.T_right_left
     cosine = float(found.t @ given.t / np.linalg.norm(found.t) / np.linalg.norm(given.t))
-    sigmas = [float(np.sqrt(np.trace(r.calibration.covariance.block("rotation")))) for r in (run, whole)]
+    own, twice, even = (_turn_sigma(each) for each in (run, *others))
     turn, off = so3.angle_rad(found.R @ given.R.T), np.arccos(np.clip(cosine, -1.0, 1.0))
+    place = {pair.name: i for i, pair in enumerate(source.pairs)}
+    used = [place[view.name] for view in run.calibration.views]
     figures = (
-        ("rotation from the set's own", "deg", float(np.degrees(turn)), float(np.degrees(sigmas[0]))),
+        ("rotation from the set's own", "deg", float(np.degrees(turn)), float(np.degrees(own))),
         ("direction of the translation from the set's own", "deg", float(np.degrees(off)), NAN),
-        ("pairs used", "", float(len(run.calibration.views)), NAN),
-        ("sigma of the rotation over that of twice the pairs", "", sigmas[0] / sigmas[1], NAN),
+        ("pairs used", "", float(len(used)), NAN),
+        ("sigma of the rotation over that of twice the pairs", "", own / twice, NAN),
+        ("sigma of the rotation over that of as many pairs evenly", "", own / even, NAN),
+        *((f"place in the drive of pair {k + 1} of those used", "", float(i), NAN) for k, i in enumerate(used)),
     )
     return tuple(Measured(name, unit, value, sigma, STREET_TABLE) for name, unit, value, sigma in figures)
+
+
+def _turn_sigma(run: NaturalRun) -> float:
+    return float(np.sqrt(np.trace(run.calibration.covariance.block("rotation"))))
 
 
 def recordings_of(folder: str | Path) -> list[tuple[str, Detections, str]]:
@@ -173,16 +256,26 @@ def recordings_in_colour(folder: str | Path) -> list[tuple[str, dict[str, Detect
 
 
 def rows_of_timed(options: ExperimentOptions, results: Mapping[Key, Result]) -> list[Row]:
-    """Rows of the sets of table 4, each from one run."""
+    """Rows of the sets of table 4, each from one run, and every method's time over ``drl``'s."""
     rows = []
-    for case, methods in ((MEASURED, BOARD_METHODS), ("KITTI", STREET_METHODS), ("Cityscapes", STREET_METHODS)):
+    for case, methods in ((MEASURED, tuple(BOARD_METHODS)), *((street, STREET_METHODS) for street in STREETS)):
+        of_drl = _seconds(results.get((case, "drl", options.seed)))
         for method in methods:
             result = results.get((case, method, options.seed))
             if result is None:
                 continue
-            failed = int(bool(result.failure))
-            for measured in result.measured or (None,):
-                is_printed = measured is not None and measured.criterion == "seconds from images" and method == "drl"
-                paper = PAPER_SECONDS[case] if is_printed else None
+            failed, own = int(bool(result.failure)), _seconds(result)
+            ratios = [
+                Measured(f"{name}, over drl's", "", own[name] / of_drl[name], table=TABLE)
+                for name in own
+                if name in of_drl
+            ]
+            for measured in [*result.measured, *ratios] or [None]:
+                is_printed = measured is not None and measured.criterion == "seconds from images"
+                paper = PAPER_SECONDS.get(method, {}).get(case) if is_printed else None
                 rows.append(row_of(TABLE, case, method, [] if measured is None else [measured], paper, 1, failed))
     return rows
+
+
+def _seconds(result: Result | None) -> dict[str, float]:
+    return {} if result is None else {m.criterion: m.value for m in result.measured if m.unit == "s"}

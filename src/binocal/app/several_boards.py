@@ -18,6 +18,7 @@ from binocal.evidence import Detections
 from binocal.findings import finding, refusal
 from binocal.initialization.board_pairing import SeenBoards, pair_boards
 from binocal.shapes import Float, Int
+from binocal.values import counted
 
 MOST_NAMES = 6  # of views in one note
 
@@ -142,7 +143,10 @@ def _arrays(
 def _notes(views: Sequence[_BoardView], names: Sequence[str], found: BoardsInPairs) -> tuple[str, ...]:
     """What was seen, and which views are of one camera only."""
     n_both = sum(view.left >= 0 and view.right >= 0 for view in views)
-    notes = [*found.notes, f"{len(views)} boards in {len(found.pairs)} pairs of images, {n_both} of them in both"]
+    notes = [
+        *found.notes,
+        f"{counted(len(views), 'board')} in {counted(len(found.pairs), 'pair')} of images, {n_both} of them in both",
+    ]
     single: dict[str, list[str]] = defaultdict(list)
     for view, name in zip(views, names, strict=True):
         if view.left < 0 or view.right < 0:
@@ -151,6 +155,6 @@ def _notes(views: Sequence[_BoardView], names: Sequence[str], found: BoardsInPai
         other = "left" if side == "right" else "right"
         shown = ", ".join(of_side[:MOST_NAMES]) + (", ..." if len(of_side) > MOST_NAMES else "")
         notes.append(
-            f"{len(of_side)} views ({shown}): used for the {side} camera only; no board of the {other} image is where this one must be"
+            f"{counted(len(of_side), 'view')} ({shown}): used for the {side} camera only; no board of the {other} image is where this one must be"
         )
     return tuple(notes)

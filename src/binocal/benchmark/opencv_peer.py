@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,12 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.calibrators.opencv import as_lists, camera_by_opencv, rig_by_opencv, usable_corners
 from binocal.cameras import Camera, StereoRig
-from binocal.errors import FormatError
+from binocal.datasets.folder import ImagePair
+from binocal.errors import DetectionError, FormatError
 from binocal.evidence import Detections
 from binocal.geometry import SE3
 from binocal.shapes import Float
+from binocal.threads import n_threads
 
 WINDOW = (5, 5)  # of cornerSubPix: half its side
 Views = Sequence[ndarray]
@@ -67,6 +70,29 @@ def pair_corners(corners: Sequence[ndarray | None]) -> tuple[list[ndarray], list
     """Left and right corners of the pairs (left, right, left, right, ...) in which both were found, in one order."""
     both = [(a, b) for a, b in zip(corners[0::2], corners[1::2], strict=True) if a is not None and b is not None]
     return [a for a, _ in both], [_same_way(a, b) for a, b in both]
+
+
+def detect_with_opencv(pairs: Sequence[ImagePair], board: Board) -> Detections:
+    """The corners of the pairs in which both finders saw the board, an image a thread.
+
+    Raises:
+        FormatError: OpenCV cannot read an image.
+        DetectionError: The board was found in no pair.
+    """
+    paths = [path for pair in pairs for path in (pair.left_path, pair.right_path)]
+    with ThreadPoolExecutor(n_threads()) as pool:
+        found = list(pool.map(lambda path: _size_and_corners(path, board), paths))
+    seen = [bool(a[1] is not None and b[1] is not None) for a, b in zip(found[0::2], found[1::2], strict=True)]
+    if not any(seen):
+        raise DetectionError("OpenCV finds the board in no pair.")
+    left, right = (np.stack(side)[:, :, 0].astype(float) for side in pair_corners([corners for _, corners in found]))
+    names = tuple(pair.name for pair, is_seen in zip(pairs, seen, strict=True) if is_seen)
+    return Detections.from_arrays(board.object_points_m, left, right, found[0][0], names=names)
+
+
+def _size_and_corners(path: Path, board: Board) -> tuple[tuple[int, int], Float[ndarray, "n 1 2"] | None]:
+    grey = read_grey(path)
+    return (grey.shape[1], grey.shape[0]), find_corners_with_opencv(grey, board)
 
 
 def _same_way(left: ndarray, right: ndarray) -> ndarray:

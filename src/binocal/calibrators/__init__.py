@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from numpy import ndarray
+
 from binocal.calibrators.base import (
     MIN_VIEWS,
     BoardShapeChoice,
@@ -27,7 +30,9 @@ from binocal.errors import CalibrationError, DataError
 from binocal.evidence import Detections
 from binocal.evidence.rectangles import RectanglePairs
 from binocal.evidence.zoom_settings import ZoomSettings
+from binocal.initialization.solid_targets import MIN_POINTS, SOLID_SHARE, is_solid
 from binocal.result import StereoCalibration
+from binocal.shapes import Float
 from binocal.solvers.prior import RigPrior
 
 __all__ = [
@@ -109,6 +114,10 @@ def calibrate_as_requested(
     _check_model(request.model)
     if isinstance(evidence, Detections) and evidence.shots is not None:
         request = _of_several_boards(request, evidence.shots)
+    if isinstance(evidence, Detections):
+        _check_points(evidence.object_points_m)
+    if isinstance(evidence, Detections) and (evidence.object_sigma_m is not None or is_solid(evidence.object_points_m)):
+        request = _of_points_in_space(request)
     from binocal.calibrators.provenance import with_corner_orders, with_provenance
 
     view_choice: dict[str, Any] = {}
@@ -160,6 +169,30 @@ def _of_several_boards(request: CalibrationRequest, shots: tuple[int, ...]) -> C
         )
     exposure = "together" if request.exposure == "auto" and len(set(shots)) == 1 else request.exposure
     return replace(request, board_shape="flat", exposure=exposure)
+
+
+def _check_points(points: Float[ndarray, "n 3"]) -> None:
+    """Raises DataError: points that are no flat board's, and too few or too flat to be another target's."""
+    away, extent = float(np.abs(points[:, 2]).max(initial=0.0)), float(np.ptp(points, axis=0).max(initial=0.0))
+    if away > SOLID_SHARE * extent and not is_solid(points):
+        raise DataError(
+            f"object points lie up to {away:.3g} from the plane z = 0, and all near one other plane or fewer than {MIN_POINTS}: give a flat "
+            f"target's points with z = 0, and of any other target {MIN_POINTS} points or more that do not lie in one plane."
+        )
+
+
+def _of_points_in_space(request: CalibrationRequest) -> CalibrationRequest:
+    """The request for points that are no flat board's, or whose own standard deviations are stated: these move them, nothing else.
+
+    Raises:
+        DataError: A flat board's shape was asked for.
+    """
+    if request.board_shape not in ("auto", "flat"):
+        raise DataError(
+            f"the target is no flat board, or its points have standard deviations (object_sigma_m): its shape is auto or flat, not "
+            f"{request.board_shape}."
+        )
+    return replace(request, board_shape="flat")
 
 
 def _check_model(name: str) -> None:

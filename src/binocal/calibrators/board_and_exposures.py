@@ -16,7 +16,13 @@ from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
 from binocal.set_checks.pair_motion import LEAST_T, PairMotion, measure_freed_motion, measure_pair_motion
 from binocal.shapes import Float, Int
 from binocal.solvers import robust
-from binocal.solvers.board_shape import ShapeEvidence, ShapeModel, doubt_flatness, estimate_variances
+from binocal.solvers.board_shape import (
+    ShapeEvidence,
+    ShapeModel,
+    doubt_flatness,
+    estimate_variances,
+    stated_information,
+)
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.covariance import inliers
 from binocal.solvers.exposures import (
@@ -83,8 +89,9 @@ def solve_real_views(
     *,
     board_shape: BoardShapeChoice = "auto",
     exposure: ExposureChoice = "auto",
+    points_sigma_m: Float[ndarray, "n"] | None = None,
 ) -> RealViewsSolve:
-    """Free what the data say is not as drawn, from the nominal minimum."""
+    """Free what the data say is not as drawn, from the nominal minimum; and points that are known to a standard deviation only."""
     problem = RealViewsProblem(nominal)
     estimate = problem.start(known.estimate)
     at_end = known.equations
@@ -93,7 +100,10 @@ def solve_real_views(
         estimate, equations, known.scale_px, known.kernel, known.n_iterations, known.is_converged, known.options
     )
     solve = _measured(problem, minimum)
-    if board_shape != "flat" and _can_free(problem, solve, board_shape):
+    if points_sigma_m is not None:
+        information = stated_information(nominal.object_points, points_sigma_m)
+        solve = _settled_or(solve, _minimized(replace(problem, shape_information=information), solve, FINE, None))
+    elif board_shape != "flat" and _can_free(problem, solve, board_shape):
         solve = _settled_or(solve, _with_board_freed(solve, board_shape))
     solve = _with_pair_compared(solve)
     if exposure == "apart" or (exposure == "auto" and _are_apart(solve)):

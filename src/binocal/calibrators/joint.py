@@ -109,7 +109,7 @@ def calibrate_jointly(
         return checked_as_a_whole(calibration, solve, given, copies, doubts_of_copies)
     request.check_stop()
     nominal = solve_diagnosed(detections, request, minimizer)
-    solve = solve_as_they_were(nominal.problem, nominal.minimum, request)
+    solve = solve_as_they_were(nominal.problem, nominal.minimum, request, detections.object_sigma_m)
     calibration = summarize(
         nominal.views,
         solve,
@@ -204,15 +204,23 @@ def solve_clean(
     )
 
 
-def solve_as_they_were(problem: BundleProblem, minimum: BundleMinimum, request: CalibrationRequest) -> RealViewsSolve:
-    """The minimum with board and exposures freed as the request and the data say; exact corners are of an exact board."""
+def solve_as_they_were(
+    problem: BundleProblem,
+    minimum: BundleMinimum,
+    request: CalibrationRequest,
+    points_sigma_m: Float[np.ndarray, "n"] | None = None,
+) -> RealViewsSolve:
+    """The minimum with board and exposures freed as the request and the data say; exact corners are of an exact board.
+
+    Points that are known to a standard deviation only are freed within it.
+    """
     request.check_stop()
     is_exact = bool(minimum.scale_px <= EXACT_SCALES * robust.SCALE_FLOOR_PX)
     board_shape, exposure = request.board_shape, request.exposure
     if is_exact:
         board_shape = "flat" if board_shape == "auto" else board_shape
         exposure = "together" if exposure == "auto" else exposure
-    return solve_real_views(problem, minimum, board_shape=board_shape, exposure=exposure)
+    return solve_real_views(problem, minimum, board_shape=board_shape, exposure=exposure, points_sigma_m=points_sigma_m)
 
 
 def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
@@ -237,7 +245,7 @@ def _calibrate_clean(
     nominal = solve_clean(detections, request, minimizer)
     if nominal is None:
         return None
-    solve = solve_as_they_were(nominal.problem, nominal.minimum, request)
+    solve = solve_as_they_were(nominal.problem, nominal.minimum, request, detections.object_sigma_m)
     try:
         calibration = summarize(
             detections,

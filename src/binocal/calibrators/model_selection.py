@@ -289,8 +289,10 @@ def _base(detections: Detections, request: CalibrationRequest) -> _Base:
     nominal = solve_clean(detections, replace(request, model=PLAIN)) or _diagnosed(detections, request)
     request.check_stop()
     views, estimate = nominal.views, nominal.minimum.estimate
-    if request.board_shape != "flat":
-        solve = solve_as_they_were(nominal.problem, nominal.minimum, replace(request, exposure="together"))
+    is_as_given = request.board_shape == "flat" and views.object_sigma_m is None
+    if not is_as_given:
+        together = replace(request, exposure="together")
+        solve = solve_as_they_were(nominal.problem, nominal.minimum, together, views.object_sigma_m)
         estimate = solve.minimum.estimate.bundle
         views = replace(views, object_points_m=np.ascontiguousarray(solve.minimum.estimate.points.T))
     return _Base(views, nominal.problem, estimate)

@@ -38,6 +38,7 @@ from binocal.solvers.whitening import CornerWeights
 
 SURE_SIGMAS = 3.0  # of a bow or stretch, to be named
 NOTICEABLE_SHARE = 0.5  # of the corner noise
+FARTHER_THAN_STATED = 1.5  # of the stated standard deviations, RMS over the points: right ones stay below 1
 DOUBTFUL_SCALE = 0.0025  # relative standard deviation of the board's scale; good prints stay below 0.002
 
 
@@ -134,7 +135,7 @@ def summarize(
         nominal_noise_px=solve.nominal_noise_px,
         views=views,
         rejected=rejected,
-        findings=(*findings, *_shape_findings(solve, board_shape, detections.is_metric)),
+        findings=(*findings, *_points_findings(solve, board_shape, detections)),
         n_iterations=n_iterations + solve.n_iterations,
         provenance={
             "corner_weights": {
@@ -183,6 +184,19 @@ def _board_shape(solve: RealViewsSolve, widening: float) -> BoardShape | None:
         figures.in_plane_rms,
         float(np.sqrt(scale_variance)),
     )
+
+
+def _points_findings(solve: RealViewsSolve, shape: BoardShape | None, detections: Detections) -> tuple[Finding, ...]:
+    """What there is to say of the points that moved: against what was stated of them, else as those of a flat board."""
+    if detections.object_sigma_m is None or shape is None:
+        return _shape_findings(solve, shape, detections.is_metric)
+    moved = np.linalg.norm(shape.points_m - detections.object_points_m, axis=1) / np.sqrt(3)
+    ratio = moved / np.where(detections.object_sigma_m > 0, detections.object_sigma_m, np.inf)
+    rms = float(np.sqrt(np.mean(np.square(ratio[detections.object_sigma_m > 0])))) if ratio.any() else 0.0
+    if rms < FARTHER_THAN_STATED:
+        return ()
+    worst = int(np.argmax(ratio))
+    return (finding("points-beyond-their-sigma", ratio=rms, worst=worst, worst_ratio=float(ratio[worst])),)
 
 
 def _shape_findings(solve: RealViewsSolve, shape: BoardShape | None, is_metric: bool) -> tuple[Finding, ...]:

@@ -33,6 +33,8 @@ class Detections(ArrayValue):
     where corners were measured from some of the same pixels; None where their errors are independent.
     ``shots`` says of which pair of images each view is, where a pair shows several boards: every board of a pair is then a view of its
     own, and views are of different boards even where these are alike. None where every view is a pair, and all are of one board.
+    Object points may lie anywhere in space. ``object_sigma_m`` is the standard deviation of each one's coordinates where it is only
+    roughly known; the solver then moves it. None where all are exact, or a flat board's whose shape is estimated otherwise.
     """
 
     object_points_m: Float[ndarray, "n 3"]
@@ -48,6 +50,7 @@ class Detections(ArrayValue):
     left_cross_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
     right_cross_covariance_px2: Float[ndarray, "views n 2 2"] | None = None
     shots: tuple[int, ...] | None = None
+    object_sigma_m: Float[ndarray, "n"] | None = None
 
     def __post_init__(self) -> None:
         arrays = {}
@@ -57,6 +60,11 @@ class Detections(ArrayValue):
         points, left, right = arrays.values()
         if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
             raise ValueError(f"object_points_m must be finite (n, 3); got {points.shape}")
+        if self.object_sigma_m is not None:
+            sigma = frozen_array(self.object_sigma_m)
+            object.__setattr__(self, "object_sigma_m", sigma)
+            if sigma.shape != (len(points),) or not np.all(np.isfinite(sigma) & (sigma >= 0)):
+                raise ValueError(f"object_sigma_m must be {(len(points),)}, finite and 0 or more; got {sigma.shape}")
         if (
             left.ndim != 3
             or right.ndim != 3
@@ -123,8 +131,11 @@ class Detections(ArrayValue):
         left_covariance_px2: Float[ndarray, "views n 2 2"] | None = None,
         right_covariance_px2: Float[ndarray, "views n 2 2"] | None = None,
         board_spec: str | None = None,
+        object_sigma_m: Float[ndarray, "n"] | float | None = None,
     ) -> Detections:
         """Detections of plain arrays. The right camera's image size is the left's unless given.
+
+        ``object_sigma_m`` may be one number for all points.
 
         Raises:
             ValueError: A shape is wrong, or a covariance is none.
@@ -147,6 +158,7 @@ class Detections(ArrayValue):
             left_covariance_px2,
             right_covariance_px2,
             board_spec,
+            object_sigma_m=None if object_sigma_m is None else np.broadcast_to(object_sigma_m, len(object_points_m)),
         )
 
     def __repr__(self) -> str:

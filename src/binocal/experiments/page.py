@@ -66,7 +66,7 @@ class Page:
 def page_files(page: Page, given: Mapping[str, str] | None = None) -> dict[str, str]:
     """The files of a page by name: page.md, page.html, the figures, those that are ``given`` too, and rows.csv with every row."""
     drawings = dict(given or {}) | {
-        f.file: drawing for part in page.parts for f in part.figures if (drawing := _drawing(page.rows, f))
+        f.file: drawing for part in page.parts for f in part.figures if (drawing := _drawing(page.rows, part.table, f))
     }
     return {
         "page.md": _markdown(page, drawings),
@@ -88,8 +88,8 @@ def rows_csv(rows: Sequence[Row]) -> str:
     return content.getvalue()
 
 
-def _drawing(rows: Sequence[Row], figure: Figure) -> str:
-    """The SVG, or nothing where no row has the figure's criterion."""
+def _drawing(rows: Sequence[Row], table: str, figure: Figure) -> str:
+    """The SVG, or nothing where no row of the part's table has the figure's criterion."""
     spans = [
         Span(
             row.calibrator,
@@ -100,7 +100,8 @@ def _drawing(rows: Sequence[Row], figure: Figure) -> str:
             row.paper if isinstance(row.paper, float | int) else None,
         )
         for row in rows
-        if row.criterion == figure.criterion and row.median is not None and row.low is not None and row.high is not None
+        if (row.table, row.criterion) == (table, figure.criterion)
+        if row.median is not None and row.low is not None and row.high is not None
     ]
     return draw_spans(spans, figure.axis, figure.title, is_log=figure.is_log) if spans else ""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from binocal.experiments.convergence import convergence_cases
 from binocal.experiments.guesses import AsPrinted, guess_cases
 from binocal.experiments.options import ExperimentOptions
 from binocal.experiments.preparations import preparation_cases
+from binocal.experiments.related import own_input_cases
 from binocal.experiments.target_distance import distance_cases
 from binocal.experiments.trained import can_train, trained_cases
 
@@ -63,14 +64,6 @@ def board_cases(options: ExperimentOptions) -> list[Case]:
     return cases
 
 
-def left_out() -> Mapping[str, str]:
-    """Calibrators that are no row of these tables, and why."""
-    return {
-        "rectangles": "works from rectangles of unknown size before turning cameras: binocal bench related",
-        "zoom": "works from boards at several zoom settings: binocal bench related",
-    }
-
-
 def trains(options: ExperimentOptions) -> bool:
     """Whether agents are trained: not in a quick run, nor without PyTorch."""
     return can_train() and not options.is_quick
@@ -89,5 +82,5 @@ def cases_of(options: ExperimentOptions, folder: Path) -> Sequence[Case]:
         *(trained_cases(nominal_rig(), folder) if trains(options) else ()),
         *convergence_cases(nominal_rig()),
         *distance_cases(),
-        *([] if options.is_quick else [*preparation_cases(), *colour_cases()]),
+        *([] if options.is_quick else [*preparation_cases(), *colour_cases(), *own_input_cases()]),
     ]

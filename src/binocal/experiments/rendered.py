@@ -49,12 +49,16 @@ class RenderedFiles:
 
 
 def render_files(
-    scene: StereoScene, looks: RenderOptions, seed: np.random.SeedSequence, *, aberration_px: float | None = None
+    scene: StereoScene,
+    looks: RenderOptions | tuple[RenderOptions, RenderOptions],
+    seed: np.random.SeedSequence,
+    *,
+    aberration_px: float | None = None,
 ) -> RenderedFiles:
-    """Render a scene; with an aberration in colour (:mod:`binocal.simulation.aberration`)."""
+    """Render a scene as :func:`binocal.simulation.render_pairs` does; with an aberration in colour."""
     folder = tempfile.mkdtemp(prefix="binocal-experiment-")
     pairs: dict[int, dict[str, Path]] = {}
-    for view, side, pixels in render_pairs(scene, (looks, looks), seed, aberration_px=aberration_px):
+    for view, side, pixels in render_pairs(scene, looks, seed, aberration_px=aberration_px):
         path = Path(folder) / f"{side}_{view:03d}.png"
         path.write_bytes(encode_image(pixels))
         pairs.setdefault(view, {})[side] = path

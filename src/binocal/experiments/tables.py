@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from binocal.experiments.row import Row
 
 NO_RESULT = "refused"
+MOST_ACROSS = 4  # cases beside each other, where one method is alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,8 @@ def _table(rows: list[Row], criterion: str | None, unit: str | None) -> Table:
     by_place = {(row.calibrator, row.case): row for row in rows}
     printed = [case for case in cases if any(row.paper is not None for row in rows if row.case == case)]
     has_bound = any(row.bound is not None for row in rows)
+    if len(methods) == 1 and len(cases) > MOST_ACROSS:
+        return _cases_down(rows, _title(criterion, unit))
     lines = []
     for method in methods:
         of_method = [by_place.get((method, case)) for case in cases]
@@ -44,8 +47,23 @@ def _table(rows: list[Row], criterion: str | None, unit: str | None) -> Table:
         line += [_paper(by_place.get((method, case))) for case in printed]
         lines.append(tuple(line))
     header = ["method", *cases, *(["bound"] if has_bound else []), *(f"paper, {case}" for case in printed)]
+    return Table(_title(criterion, unit), tuple(header), tuple(lines))
+
+
+def _cases_down(rows: list[Row], title: str) -> Table:
+    """One method alone, with a line for each case."""
+    columns = [("case", [row.case for row in rows]), (rows[0].calibrator, [_cell(row) for row in rows])]
+    if any(row.bound is not None for row in rows):
+        columns.append(("bound", ["" if row.bound is None else f"{row.bound:.3g}" for row in rows]))
+    if any(row.paper is not None for row in rows):
+        columns.append(("paper", [_paper(row) for row in rows]))
+    header = tuple(name for name, _ in columns)
+    return Table(title, header, tuple(zip(*(cells for _, cells in columns), strict=True)))
+
+
+def _title(criterion: str | None, unit: str | None) -> str:
     title = f"{criterion}, {unit}" if unit else str(criterion)
-    return Table(title[:1].upper() + title[1:], tuple(header), tuple(lines))
+    return title[:1].upper() + title[1:]
 
 
 def _cell(row: Row | None) -> str:

@@ -37,6 +37,7 @@ from binocal.result import BoardShape
 SCHEMA, VERSION = "binocal/detections", 1
 HEADER = "header"
 ARRAYS = ("object_points_m", "left_px", "right_px")
+OBJECT_SIGMA = "object_sigma_m"
 SHAPE_ARRAYS = ("points_m", "sigma_m")
 SHAPE_FIGURES = tuple(field.name for field in fields(BoardShape) if field.name not in SHAPE_ARRAYS)
 REMEDY = "write it anew with `binocal calibrate --evidence` or binocal.write_detections"
@@ -86,6 +87,8 @@ def detections_content(detections: Detections, board_shape: BoardShape | None = 
         header["board_shape"] = {name: getattr(board_shape, name) for name in SHAPE_FIGURES}
     arrays = {HEADER: np.frombuffer(json.dumps(header).encode("ascii"), dtype=np.uint8)}
     arrays |= {name: getattr(detections, name) for name in ARRAYS}
+    if detections.object_sigma_m is not None:
+        arrays[OBJECT_SIGMA] = detections.object_sigma_m
     arrays |= {name: value for name in COVARIANCES if (value := getattr(detections, name)) is not None}
     if board_shape is not None:
         arrays |= {f"board_{name}": getattr(board_shape, name) for name in SHAPE_ARRAYS}
@@ -119,6 +122,7 @@ def read_detections(path: str | Path) -> Detections:
             names=tuple(header["names"]),
             is_metric=header["is_metric"],
             board_spec=header["board"],
+            object_sigma_m=_parse_floats(path, members, OBJECT_SIGMA) if OBJECT_SIGMA in members else None,
             shots=None if header.get("shots") is None else tuple(header["shots"]),
         )
     except (ValueError, DataError) as error:

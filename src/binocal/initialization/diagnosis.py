@@ -37,6 +37,8 @@ from binocal.initialization.input_checks import (
 )
 from binocal.initialization.intrinsics import InitialCamera, estimate_intrinsics
 from binocal.initialization.relative_pose import Consensus
+from binocal.initialization.solid_diagnosis import findings_of_solid, rejected_views, start_of_solid
+from binocal.initialization.solid_targets import SolidCamera, is_solid
 from binocal.result import RejectedView
 from binocal.shapes import Bool, Float
 
@@ -60,8 +62,8 @@ class Diagnosis:
     rejected: tuple[RejectedView, ...]
     notes: tuple[str, ...]
     findings: tuple[Finding, ...]
-    left: InitialCamera
-    right: InitialCamera
+    left: InitialCamera | SolidCamera
+    right: InitialCamera | SolidCamera
     T_right_left: SE3
     R_left_board: Float[ndarray, "views 3 3"]
     t_left_board: Float[ndarray, "views 3"]
@@ -80,6 +82,8 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
         DegenerateGeometryError: The views leave the intrinsics undetermined.
         TooFewViewsError: Fewer than 3 pairs remain; ``rejected`` says why.
     """
+    if is_solid(detections.object_points_m):
+        return _diagnose_solid(detections, model)
     reasons: dict[int, Finding] = {}
     pixels = [detections.left_px, detections.right_px]
     sizes = [detections.left_size_wh, detections.right_size_wh]
@@ -152,6 +156,30 @@ def diagnose_views(detections: Detections, model: str = "brown4", *, has_skew: b
         weights[0],
         weights[1],
         float(np.median(consensus.miss_px[consensus.agrees])),
+    )
+
+
+def _diagnose_solid(detections: Detections, model: str) -> Diagnosis:
+    """As :func:`diagnose_views`, of a target that is no plane: nothing to reorder, and one view determines a camera."""
+    reasons: dict[int, Finding] = {}
+    (left, right), T_right_left, T_left_board, is_used, miss_px = start_of_solid(detections, model, reasons)
+    _require(int(np.sum(is_used & left.is_usable & right.is_usable)), detections, reasons)
+    R, t = T_left_board.R.copy(), T_left_board.t.copy()
+    R[~is_used], t[~is_used] = np.nan, np.nan
+    return Diagnosis(
+        detections,
+        is_used,
+        rejected_views(detections, reasons),
+        ("",) * detections.n_views,
+        findings_of_solid(T_right_left),
+        left,
+        right,
+        T_right_left,
+        R,
+        t,
+        left.weights,
+        right.weights,
+        miss_px,
     )
 
 

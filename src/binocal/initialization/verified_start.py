@@ -18,6 +18,7 @@ from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.geometry.homography import PlaneFrame, fit_plane
 from binocal.initialization.poses import decompose
+from binocal.initialization.solid_targets import is_solid
 from binocal.shapes import Float
 
 MIN_CORNERS = 12  # of every image; fewer leave a homography too free to prove anything
@@ -50,12 +51,14 @@ class VerifiedStart:
 def estimate_verified_start(detections: Detections, model: str) -> VerifiedStart | None:
     """A rough start from closed forms alone, or None where the views do not look clean at first sight.
 
-    Every image must show twelve corners or more, inside the image, and no lens that bends the board visibly.
+    Every image must show twelve corners or more of a plane, inside the image, and no lens that bends the board visibly.
     """
     pixels = np.concatenate([detections.left_px, detections.right_px])
     n_views = detections.n_views
     is_seen = np.isfinite(pixels[..., 0])
     if is_seen.sum(axis=-1).min(initial=len(is_seen[0])) < MIN_CORNERS:
+        return None
+    if is_solid(detections.object_points_m):
         return None
     is_full = bool(is_seen.all())
     size = np.array([detections.left_size_wh, detections.right_size_wh], dtype=float).repeat(n_views, axis=0)

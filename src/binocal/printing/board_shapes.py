@@ -48,7 +48,7 @@ def board_shapes(board: Board, style: PrintStyle | None = None) -> tuple[Shape, 
         x = (discs.step_x * column + discs.stagger * (row % 2)) * pitch - 1e3 * x0
         y = row * pitch - 1e3 * y0
         sizes = zip(x, y, discs.outer.ravel() * pitch, discs.hole.ravel() * pitch, strict=True)
-        return tuple(Disc(*map(float, size)) for size in sizes)
+        return tuple(Disc(float(u), float(v), float(radius), float(hole)) for u, v, radius, hole in sizes)
     cells = cell_print(board, is_legacy_charuco=style.is_legacy_charuco, april_border_bits=style.april_border_bits)
     area = trace_cells(cells.ink, cells.x_edges * pitch - 1e3 * x0, cells.y_edges * pitch - 1e3 * y0)
     discs = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray
@@ -18,8 +18,10 @@ from binocal.shapes import Float, Int
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIZE_INCHES = (10.0, 7.5)
+SIZE_INCHES = (10.0, 9.5)
 COLOURS = {"soft": "#0072b2", "hard": "#d55e00"}  # distinct to every kind of colour vision (Okabe & Ito 2008)
+MARKERS = {"soft": "", "hard": "o"}  # tell them apart in grey
+MARKED = 12  # points of a curve
 MAX_VALUES_DRAWN = 200  # dots of a run; more only make the file larger
 MAX_POINTS_DRAWN = 400  # of a curve
 
@@ -93,8 +95,9 @@ def _draw_values(axes: Axes, runs: Runs) -> None:
             every = max(1, -(-len(h.value_predicted) // MAX_VALUES_DRAWN))
             got, want = h.value_predicted[::every], h.value_monte_carlo[::every]
             ends += [float(v) for side in (got, want) if len(side) for v in (side.min(), side.max())]
+            mark = MARKERS[kind] or "x"
             axes.plot(
-                want, got, ".", color=COLOURS[kind], markersize=2, alpha=0.5, label=None if i else f"{kind} targets"
+                want, got, mark, color=COLOURS[kind], markersize=3, alpha=0.5, label=None if i else f"{kind} targets"
             )
     if ends:
         span = (min(ends), max(ends))
@@ -121,13 +124,13 @@ def _draw_held_out(axes: Axes, runs: Runs) -> None:
     for kind, group in runs.items():
         _curve(axes, kind, group, [(h.held_out_step, 100 * h.held_out_success) for h in group])
         _curve(right, kind, group, [(h.held_out_step, h.held_out_iterations) for h in group], linestyle="--")
-    _legend(axes, loc="center right")
+    _legend(axes)
 
 
-def _legend(axes: Axes, loc: Literal["best", "center right"] = "best") -> None:
-    """A legend, unless nothing was drawn."""
+def _legend(axes: Axes) -> None:
+    """A legend below the panel, where it hides nothing, unless nothing was drawn."""
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize="small", loc=loc)
+        axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False)
 
 
 def _curve(
@@ -148,7 +151,8 @@ def _curve(
     n = len(lines)
     what = "seeds" if len({run.seed for run in group}) == n else "runs"
     label = f"{kind} targets, seed {group[0].seed}" if n == 1 else f"{kind} targets, {n} {what}: median, min to max"
-    axes.plot(steps, np.median(values, axis=0), color=COLOURS[kind], linestyle=linestyle, linewidth=1.2, label=label)
+    look = {"color": COLOURS[kind], "linestyle": linestyle, "linewidth": 1.2, "marker": MARKERS[kind], "markersize": 3}
+    axes.plot(steps, np.median(values, axis=0), markevery=max(1, len(steps) // MARKED), label=label, **look)
     if n > 1:
         band = axes.fill_between(
             steps, values.min(axis=0), values.max(axis=0), color=COLOURS[kind], alpha=0.2, linewidth=0

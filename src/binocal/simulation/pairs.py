@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import replace
 
 import numpy as np
 from numpy import ndarray
 
 from binocal.cameras import StereoRig
-from binocal.shapes import UInt
+from binocal.shapes import Float, UInt
 from binocal.simulation.aberration import render_colour_image
 from binocal.simulation.renderer import RenderOptions, render_image
 from binocal.simulation.scene_renderer import SceneOptions, render_scene_image
@@ -28,11 +29,13 @@ def render_pairs(
     progress: Callable[[int, int], None] | None = None,
     *,
     aberration_px: float | None = None,
+    behind: Callable[[int, int], Float[ndarray, "h w"]] | None = None,
 ) -> Iterator[tuple[int, str, UInt[ndarray, "h w"] | UInt[ndarray, "h w 3"]]]:
     """(view, ``left`` or ``right``, image) of every view of a board, in the order in which they get done.
 
     Two options are those of the left and of the right camera. With ``aberration_px`` images are in colour, red and blue displaced by
-    so much in their corners (:mod:`binocal.simulation.aberration`).
+    so much in their corners (:mod:`binocal.simulation.aberration`). ``behind`` gives what stands behind the board in a view's left (0)
+    or right (1) image, see :class:`binocal.simulation.RenderOptions`.
     """
     looks = options if isinstance(options, tuple) else (options, options)
     rig, T_left_board = scene.rig, scene.T_left_board
@@ -40,9 +43,10 @@ def render_pairs(
 
     def render(view: int, side: int, rng: np.random.Generator) -> ndarray:
         camera, T_camera_board = sides[side]
+        look = looks[side] if behind is None else replace(looks[side], behind=behind(view, side))
         if aberration_px is not None:
-            return render_colour_image(camera, T_camera_board[view], scene.board, looks[side], aberration_px, rng)
-        return render_image(camera, T_camera_board[view], scene.board, looks[side], rng).image
+            return render_colour_image(camera, T_camera_board[view], scene.board, look, aberration_px, rng)
+        return render_image(camera, T_camera_board[view], scene.board, look, rng).image
 
     return _render_all(render, len(T_left_board.t), seed, progress)
 

@@ -15,7 +15,7 @@ sigma² - 0.14² + (1/4)²/12, the last term because the mean of four points is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal
 
@@ -74,6 +74,8 @@ class RenderOptions:
     """Black border cells of AprilGrid tags: 2 on Kalibr's sheets, 1 as tags are mostly printed elsewhere."""
     shape: PrintedShape | None = None
     """How the sheet is bent and where its print lies; None: a plane, printed as drawn."""
+    behind: Float[ndarray, "h w"] | None = field(default=None, compare=False)
+    """What stands behind the board, as the lens shows it (grey levels of every pixel); None: clutter."""
 
     def __post_init__(self) -> None:
         if self.blur_px < 0 or self.noise_dn < 0 or self.gamma <= 0 or not 0 <= self.vignetting < 1:
@@ -103,7 +105,7 @@ def render_image(
     """An image of the board. The rays of the last two cameras are kept for the next images.
 
     Raises:
-        ValueError: The camera looks at the back of the board, or the board cannot be printed.
+        ValueError: The camera looks at the back of the board, the board cannot be printed, or ``behind`` is of another size.
     """
     light = render_light(camera, T_camera_board, board, options, rng)
     image = read_out(light, rng, noise_dn=options.noise_dn, gamma=options.gamma, bit_depth=options.bit_depth)
@@ -118,7 +120,7 @@ def render_light(
     """What the pixels receive, in grey levels, before gamma, noise and rounding (float32).
 
     Raises:
-        ValueError: The camera looks at the back of the board, or the board cannot be printed.
+        ValueError: The camera looks at the back of the board, the board cannot be printed, or ``behind`` is of another size.
     """
     return render_lights(camera, ((board, T_camera_board),), options, rng)
 
@@ -139,9 +141,7 @@ def render_lights(
     kernel = blur_kernel(options.blur_px, options.blur_kind, options.motion_px, least_px=_SPREAD_PX)
     apron = 8 * (kernel.reach_px // 8 + 1)  # steps of 8, so that the rays serve other blurs too
     rays = rays_of_pixels(camera, apron)
-    light = blur_image(
-        draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn), kernel, scale=1
-    )
+    light = _behind(camera, options, rng, kernel)
     for board, T_camera_board in boards:
         window = _sheet_window(camera, T_camera_board, board, apron, kernel.reach_px)
         if window is not None:
@@ -182,6 +182,19 @@ def _lay_sheet(
         max(first_column, 0) : max(first_column, 0) + coverage.shape[1],
     ]
     light[target] = board_light + (1 - coverage) * light[target]
+
+
+def _behind(
+    camera: Camera, options: RenderOptions, rng: np.random.Generator, kernel: BlurKernel
+) -> Float[ndarray, "h w"]:
+    if options.behind is None:
+        clutter = draw_background(camera.size_wh, rng, level=options.background_dn, contrast=options.clutter_dn)
+        return blur_image(clutter, kernel, scale=1)
+    if options.behind.shape != camera.size_wh[::-1]:
+        raise ValueError(
+            f"behind must have the image's rows and columns, {camera.size_wh[::-1]}; got {options.behind.shape}"
+        )
+    return options.behind.astype(np.float32)
 
 
 @lru_cache(maxsize=8)

@@ -229,6 +229,16 @@ def hidden_directions(points: Float[ndarray, "3 n"]) -> Float[ndarray, "m 7"]:
     return np.linalg.qr(np.stack(columns, axis=1))[0]
 
 
+def stated_information(points: Float[ndarray, "3 n"], sigma_m: Float[ndarray, "n"]) -> Float[ndarray, "m m"]:
+    """Inverse covariance of offsets that are independent with these standard deviations, all rigid motions held.
+
+    The scale is not: it is as uncertain as the points leave it.
+    """
+    least = STIFF_SHARE * pitch_of(points)
+    rigid = hidden_directions(points)[:, :6]
+    return np.diag(np.tile(1 / np.square(np.maximum(sigma_m, least)), 3)) + rigid @ rigid.T / least**2
+
+
 def _complement(directions: Float[ndarray, "m k"]) -> Float[ndarray, "m r"]:
     full = np.linalg.qr(np.concatenate([directions, np.eye(len(directions))], axis=1))[0]
     return np.ascontiguousarray(full[:, directions.shape[1] :])

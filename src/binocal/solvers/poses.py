@@ -12,6 +12,7 @@ from binocal.cameras import StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3
 from binocal.initialization.poses import estimate_poses
+from binocal.initialization.solid_targets import is_solid, solid_poses
 from binocal.shapes import Bool, Float
 from binocal.solvers.arrays import choose_rigs
 from binocal.solvers.board_views import (
@@ -70,7 +71,9 @@ def _closed_form_starts(rig: StereoRig, detections: Detections) -> tuple[list[SE
     starts = []
     T = rig.T_right_left
     for camera, px in ((rig.left, detections.left_px), (rig.right, detections.right_px)):
-        found = estimate_poses(camera.model, camera.parameters, detections.object_points_m, px)
+        found = (solid_poses if is_solid(detections.object_points_m) else estimate_poses)(
+            camera.model, camera.parameters, detections.object_points_m, px
+        )
         R, t = found.R, found.t
         if camera is rig.right:
             R, t = T.R.T @ R, (t - T.t) @ T.R

@@ -10,7 +10,6 @@ import typer
 from binocal.cli.arguments import one_of, parse_board
 from binocal.cli.exits import FINE
 from binocal.cli.options import BOARD_HELP, Force, Json, Seed, Threads, app, finite, present
-from binocal.values import counted
 
 MOST_ABERRATION_PX = 20.0
 MOST_BLUR_PX = 100.0  # of the lens of a simulation; the filter's length grows with it
@@ -85,6 +84,7 @@ def simulate(
     from binocal.cli.progress import progress_on_terminal
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
+    from binocal.values import counted
 
     if aberration and rig in (ZOOM, TURNING):
         raise typer.BadParameter(f"--aberration does not go with --rig {rig}.")
@@ -154,6 +154,7 @@ def _simulate_turning(
     from binocal import app as verbs
     from binocal.formats import rig_json
     from binocal.output import check_output_folder
+    from binocal.values import counted
 
     if shown != (None, None):
         raise typer.BadParameter(f"--rig {TURNING} shows a rectangle; leave out --board and --scene.")

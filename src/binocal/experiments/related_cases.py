@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy import ndarray
@@ -14,14 +12,12 @@ from binocal.calibrators import calibrate
 from binocal.calibrators.wide_field import mean_of_views
 from binocal.cameras import StereoRig
 from binocal.cameras.zoom_rig import ZoomRig, curve_quantities, rig_of_quantities
-from binocal.datasets.folder import ImagePair
-from binocal.detection import detect_pairs
 from binocal.evidence.zoom_settings import ZoomSettings
 from binocal.experiments.bounds import bound_of_corners
 from binocal.experiments.case import Made, Sample
+from binocal.experiments.rendered import render_files
 from binocal.experiments.row import Measured
 from binocal.geometry import SE3, so3
-from binocal.images.png import encode_png
 from binocal.metrics import image
 from binocal.metrics.binocular import binocular_error_px
 from binocal.metrics.held_out import exact_views
@@ -30,7 +26,6 @@ from binocal.shapes import Float
 from binocal.simulation import (
     SETUPS,
     StereoScene,
-    render_pairs,
     sample_board_poses,
     simulate_detections,
     table2_rig,
@@ -53,26 +48,23 @@ def board_corners(seed: int) -> Sample:
     return Sample(corners, rig, board, bound, {"model": "brown4"})
 
 
-def rendered(setup: str, spec: str, model: str, folder: Path) -> Callable[[int], Sample]:
+@dataclass(frozen=True, slots=True)
+class Rendered:
     """Images of a named set-up to corners, as a user's are; the bound is that of the corners' own covariances."""
 
-    def make(seed: int) -> Sample:
-        chosen, board = SETUPS[setup](), parse_board(spec)
+    setup: str
+    spec: str
+    model: str
+
+    def __call__(self, seed: int) -> Sample:
+        """See :class:`binocal.experiments.case.Case`."""
+        chosen, board = SETUPS[self.setup](), parse_board(self.spec)
         rng = np.random.default_rng(seed)
         scene = StereoScene(chosen.rig, board, sample_board_poses(chosen.rig, board, 12, rng))
-        looks = chosen.with_lens_and_noise(0.8, 3.0)
-        with tempfile.TemporaryDirectory(dir=folder) as place:
-            pairs: dict[int, dict[str, Path]] = {}
-            for view, side, pixels in render_pairs(scene, looks, np.random.SeedSequence(seed)):
-                path = Path(place) / f"{side}_{view:02d}.png"
-                path.write_bytes(encode_png(pixels))
-                pairs.setdefault(view, {})[side] = path
-            listed = [ImagePair(f"{v:02d}", pairs[v]["left"], pairs[v]["right"]) for v in sorted(pairs)]
-            corners = detect_pairs(listed, board).detections
+        corners = render_files(scene, chosen.with_lens_and_noise(0.8, 3.0), np.random.SeedSequence(seed)).corners()
         kept = scene.T_left_board[[int(name) for name in corners.names]]
-        return Sample(corners, chosen.rig, board, bound_of_corners(chosen.rig, corners, kept), {"model": model})
-
-    return make
+        bound = bound_of_corners(chosen.rig, corners, kept)
+        return Sample(corners, chosen.rig, board, bound, {"model": self.model})
 
 
 def _calibration(made: Made) -> StereoCalibration:
@@ -118,18 +110,23 @@ def wide_errors(made: Made, sample: Sample) -> list[Measured]:
     ]
 
 
-def turning(n_pairs: int, sigma_deg: float, *, is_always_another: bool, pivot_m: float) -> Callable[[int], Sample]:
+@dataclass(frozen=True, slots=True)
+class Turning:
     """Cameras that turn before rectangles, known from a calibration of 20 pairs of a board with 0.1 px."""
 
-    def make(seed: int) -> Sample:
+    n_pairs: int
+    sigma_deg: float
+    is_always_another: bool = False
+    pivot_m: float = 0.0
+
+    def __call__(self, seed: int) -> Sample:
+        """See :class:`binocal.experiments.case.Case`."""
         rng, rig, board = np.random.default_rng(seed), turning_rig(), parse_board("chessboard:11x8:60mm")
         scene = StereoScene(rig, board, sample_board_poses(rig, board, 20, rng))
         before = calibrate(simulate_detections(scene, rng, noise_px=0.1), calibrator="lm", model="brown4")
-        options = TurningOptions(attitude_sigma_deg=sigma_deg, is_always_another=is_always_another, pivot_m=pivot_m)
-        turned = simulate_turning(rig, n_pairs, rng, options)
+        options = TurningOptions(self.sigma_deg, is_always_another=self.is_always_another, pivot_m=self.pivot_m)
+        turned = simulate_turning(rig, self.n_pairs, rng, options)
         return Sample(turned.pairs, turned, choices={"prior": RigPrior.from_calibration(before)})
-
-    return make
 
 
 def turning_errors(made: Made, sample: Sample) -> list[Measured]:
@@ -165,19 +162,23 @@ def _coordinates(rig: StereoRig, T: SE3, truth: TurningScene, pair: int) -> Floa
     return np.linalg.norm(np.array(found) - true_m, axis=-1) / np.linalg.norm(true_m, axis=-1)
 
 
-def zoom(n_settings: int, n_views: int = 12, noise_px: float = 0.1) -> Callable[[int], Sample]:
+@dataclass(frozen=True, slots=True)
+class Zoomed:
     """Corners of a board at settings spread over the range."""
 
-    def make(seed: int) -> Sample:
+    n_settings: int
+    n_views: int = 12
+    noise_px: float = 0.1
+
+    def __call__(self, seed: int) -> Sample:
+        """See :class:`binocal.experiments.case.Case`."""
         rng, board = np.random.default_rng(seed), parse_board(ZOOM_BOARD)
-        settings, made = np.linspace(0, 1, n_settings), []
+        settings, made = np.linspace(0, 1, self.n_settings), []
         for setting in settings:
             rig = zoom_rig_at(setting)
-            scene = StereoScene(rig, board, sample_board_poses(rig, board, n_views, rng))
-            made.append(simulate_detections(scene, rng, noise_px=noise_px))
+            scene = StereoScene(rig, board, sample_board_poses(rig, board, self.n_views, rng))
+            made.append(simulate_detections(scene, rng, noise_px=self.noise_px))
         return Sample(ZoomSettings(settings, tuple(made)), None, board, choices={"model": "brown4"})
-
-    return make
 
 
 def zoom_errors(made: Made, sample: Sample) -> list[Measured]:
