@@ -67,10 +67,23 @@ EXPLANATIONS = {
     "residuals-checked": """
         Residuals of neighbouring corners of an image should be independent. Real ones are alike to some degree; where the
         standard deviations were widened for what views have in common, that is counted.""",
+    "corners-not-of-rig": """
+        A report looks beside the rig's file for the corners that it was made from, and computes from them what the file says of
+        its views. A file with the same views in which the figures differ means that one of the two was changed afterwards:
+        calibrated anew without writing the other, or edited by hand. Which one, the figures cannot tell.""",
+    "rig-file-changed": """
+        Where the cameras did not see the board at one moment, each view has a right pose of its own, which fits its corners
+        whatever R and T are. A calibration ends where the deviations of these poses balance, to 0.26 standard errors on the
+        sets that were measured; R turned by 0.05 deg by hand leaves 3 to 12.""",
     "rig-does-not-fit": """
         Each view's board is fitted to both images under the rig, and to each image alone. A rig that is merely less certain
         than it says leaves nearly the same; three times as much, beyond what the pair left when it was calibrated, is
         no matter of standard deviations.""",
+    "rows-off": """
+        A rig that states no standard deviations, such as one of OpenCV's files, cannot be compared with new images in their
+        units. What the rectified rows of all views are off by alike (a constant and a slope along both axes of the image) can
+        be separated from what differs between the views: it is the rig's own error, whatever the noise. It is named where chance
+        makes it once in ten thousand times or less, and where it is larger than 0.1 px and than everything else in the rows.""",
     "rig-disagrees": """
         New images of a board are solved with the rig as a wide prior, and what they say is compared with the rig in units of
         both standard deviations, in every direction of which they tell anything. By chance a rig that has not changed is
@@ -305,6 +318,10 @@ EXPLANATIONS = {
         them makes it a third larger, and matches of a sharp with a blurred
         image are off by up to half a pixel, all in like directions: rotations come out wrong by tenths of a degree and more
         than is stated. Pairs are refused (of several: left out) from a ratio of 1.25, or 2.5 px in both.""",
+    "image-mirrored": """
+        Descriptors of a mirrored image match nothing but what is symmetrical, and a pose fits a cluster of those as well. Where
+        few points match, one image is mirrored and tried again: three times as many matches, and a hundred, say that it was.
+        The pair is refused (of several: left out). Where both images are mirrored, their sides seem exchanged.""",
     "images-already-rectified": """
         In rectified images matching points lie on equal rows. Where they do so to less than the noise that the best pose of the
         given rig leaves, the images were rectified by somebody, while the rig's file has the lenses of the raw images.""",
@@ -333,9 +350,10 @@ EXPLANATIONS = {
     "pairs-contradict": """
         Every pair of a rig shows the same pose. Where half of the pairs or more do not fit with the others, nothing tells which
         are right. Where each pair fits the cameras with a pose of its own, and no pose fits all (own poses would take away 80 % of
-        the squared residuals, and 0.3 px), or where two and more pairs that do not fit with the others agree on another turn, the rig
-        was knocked on the way, it flexes, or its cameras do not expose together. `recalibrate` and `check` refuse such pairs alike:
-        any one pose would be a mean of several. `binocal check --stream` says when the rig turned, and by how much.""",
+        the squared residuals, and 0.3 px), or where two and more pairs that do not fit with the others agree on another turn,
+        the rig was knocked on the way, it flexes, its cameras do not expose together, or its file is of other cameras.
+        `recalibrate` and `check` refuse such pairs alike: any one pose would be a mean of several. `binocal check --stream`
+        says when the rig turned, and by how much.""",
     "pairs-left-out": """
         A pair is left out where an image shows nothing or is blurred, where less than half as many of its matches fit as of all
         pairs (its images are not of one moment, or the rig was knocked before or after it), or where its points lie behind the cameras

@@ -135,6 +135,8 @@ def test_points_are_found_along_the_epipolar_line(images):
         found = match_along_epipolar(*images, RIG, CAMERA.project(end[None])[0])
         truth = CAMERA.project(RIG.T_right_left.apply(end[None]))[0]
         assert np.linalg.norm(found.right_px - truth) < 0.15 and found.likeness > 0.9
+    with pytest.raises(NotMatchedError, match="outside of the left image of 480x360"):
+        match_along_epipolar(*images, RIG, np.array([480.0, 100.0]))
     with pytest.raises(NotMatchedError, match="border"):
         match_along_epipolar(*images, RIG, np.array([3.0, 100.0]))
     flat = np.full((360, 480), 90, np.uint8)

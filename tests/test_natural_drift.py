@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from binocal.app.natural_drift import covariance_in_common, drift_of, made_by_recalibrate
+from binocal.app.natural_drift import covariance_in_common, drift_of, made_by_recalibrate, reference_values
 from binocal.calibrators.natural import NaturalRequest, calibrate_from_matches
 from binocal.calibrators.natural_cameras import assumed_covariance
+from binocal.errors import DataError
 from binocal.result import Covariance
 from streets import T_RIGHT_LEFT, cameras, street
 
@@ -53,3 +55,29 @@ def test_a_rig_from_recalibrate_differs_by_less_than_by_its_cameras_errors():
     rms = np.sqrt(np.mean(np.square(scores), axis=0))
     assert (rms > 0.1).all() and (rms < 1.3).all(), rms  # measured 0.18, 0.71, 0.21 of ten
     assert made_by_recalibrate(replace(old, provenance={})) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ([1], "no object of names and values"),
+        ("R", "R is missing"),
+        ({"R": [[1, 0], [0, 1]]}, "R is not 3 x 3 finite numbers"),
+        ({"R": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}, "R is no rotation"),
+        ({"T_direction": [0, 0, 0]}, "T_direction is not of length 1"),
+        ({"T_direction": ["left"]}, "T_direction is not 3 finite numbers"),
+        ({"random_rotation_covariance_rad2": [[0, 0, 0]] * 3}, "is no covariance"),
+        ({"random_rotation_covariance_rad2": (-1e-9 * np.eye(3)).tolist()}, "is no covariance"),
+        ({"pairs": 3}, "pairs is no list of names"),
+    ],
+)
+def test_a_damaged_reference_is_refused_by_what_is_wrong(change, words):
+    sound = {"R": np.eye(3).tolist(), "T_direction": [-1.0, 0.0, 0.0], "pairs": ["0"]}
+    sound |= {"random_rotation_covariance_rad2": (1e-9 * np.eye(3)).tolist()}
+    assert np.array_equal(reference_values(sound)[0], np.eye(3))
+    if isinstance(change, str):
+        change = {key: value for key, value in sound.items() if key != change}
+    elif isinstance(change, dict):
+        change = sound | change
+    with pytest.raises(DataError, match=f"reference is damaged: .*{words}.*; write it anew"):
+        reference_values(change)

@@ -152,6 +152,10 @@ def test_wrong_images_are_named(folder, tmp_path, capsys):
         cv2.imwrite(str(tmp_path / f"{side}_0.png"), black[:-10] + np.uint8(grey))
     assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 3
     assert "480x350 pixels, the rig's left camera has 480x360" in capsys.readouterr().err
+    shutil.copy(folder / "left_00.png", tmp_path / "left_0.png")
+    cv2.imwrite(str(tmp_path / "right_0.png"), cv2.imread(str(folder / "right_00.png"))[:, ::-1])
+    assert run("check", *sources(tmp_path), "--rig", folder / "true.json") == 3
+    assert "right_0.png is mirrored against" in capsys.readouterr().err
     two = tmp_path / "two"
     two.mkdir()
     for k, side in enumerate(("left", "right")):  # two scenes that have nothing in common

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from binocal import app, detect_boards, read_detections, write_detections
+from binocal.app.report_images import report_images
 from binocal.boards import BoardSet
 from binocal.calibrators.base import CalibrationRequest
 from binocal.cameras import Camera, StereoRig
@@ -77,6 +78,12 @@ def test_corners_of_several_boards_are_written_and_read(run, tmp_path):
     from_corners = app.calibrate_corners(path, CalibrationRequest("brown4")).calibration
     assert from_corners.rig.baseline_m == run.calibration.rig.baseline_m
     assert again.select(np.array([1, 0])).shots == (0, 0)
+
+
+def test_a_report_shows_the_pair_rectified_and_says_that_views_share_their_images(folder, run):
+    sides = (str(folder / "left*"), str(folder / "right*"))
+    views, rectified, notes = report_images(run.calibration, *sides)
+    assert not views and rectified is not None and rectified.name == "0" and "several views" in notes[0]
 
 
 def test_the_command_line_takes_several_boards_and_evaluates_on_them(folder, tmp_path, capsys):

@@ -10,6 +10,8 @@ import pytest
 import binocal
 from binocal.boards import parse_board
 from binocal.errors import DataError
+from binocal.evidence.right_poses import MOST_OFF_BALANCE, imbalance_of_deviations
+from binocal.geometry import SE3, so3
 from binocal.metrics.image import pixel_error
 from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from binocal.simulation.corruptions import drop_view, flip_view, mismatch_pair
@@ -97,6 +99,28 @@ def test_other_corners_are_refused(tmp_path, change, expected):
         return
     with pytest.raises(DataError, match=expected):
         read.with_evidence(change(detections))
+
+
+def test_a_changed_pose_is_found_where_every_view_has_its_own_right_pose(tmp_path):
+    """Residuals do not show it: the right poses, one a view, fit whatever R and T are."""
+    rng = np.random.default_rng(4)
+    detections = corners(noise_px=0.1)
+    T_left_board = sample_board_poses(table2_rig(), BOARD, 10, np.random.default_rng(0))
+    moved = SE3(so3.exp(rng.normal(0, 2e-3, (10, 3))) @ T_left_board.R, T_left_board.t + rng.normal(0, 5e-4, (10, 3)))
+    later = simulate_detections(StereoScene(table2_rig(), BOARD, moved), rng, noise_px=0.1)
+    detections = replace(detections, right_px=later.right_px)
+    made, read, detections = saved(tmp_path, detections, calibrator="lm", exposure="apart")
+    assert made.T_right_board is not None
+    whole, used, T = read.with_evidence(detections), made.T_left_board, made.rig.T_right_left
+    off = imbalance_of_deviations(T, used, made.T_right_board, BOARD.object_points_m.mean(axis=0))
+    assert whole.evidence is not None and off < 0.5 * MOST_OFF_BALANCE  # measured: 0.02
+    for turn_deg, shift_m in (([0.1, 0, 0], [0, 0, 0]), ([0, 0, 0.2], [0, 0, 0]), ([0, 0, 0], [0, 1e-3, 0])):
+        changed = SE3(so3.exp(np.radians(turn_deg)) @ T.R, T.t + np.array(shift_m))
+        edited = replace(read, rig=replace(read.rig, T_right_left=changed))
+        with pytest.raises(DataError, match=r"R and T are not those of the calibration.*changed after"):
+            edited.with_evidence(detections)
+        held = replace(edited, provenance={**edited.provenance, "options": {"prior": {"held": ["rotation"]}}})
+        assert held.with_evidence(detections).evidence is not None  # a prior may pull R and T anywhere
 
 
 def test_a_file_without_board_poses_says_so():

@@ -133,6 +133,12 @@ _KINDS = (
         "focus both cameras alike, hold the rig still, or expose for a shorter time", DegenerateGeometryError,
     ),
     FindingKind(
+        "image-mirrored", _R, "One image of a pair is mirrored against the other",
+        "{right} is mirrored against {left}: {n_mirrored} points match where one of them is mirrored back, {n_matches} as they are; "
+        "{remedy}.",
+        "give both images as the cameras took them, neither flipped nor transposed", DegenerateGeometryError,
+    ),
+    FindingKind(
         "images-already-rectified", _R, "The images are rectified already",
         "matching points lie on equal {lines} ({apart_px:.2f} px apart, median), where raw images of this rig would have them "
         "{by_rig_px:.1f} px off: the images are rectified and the rig's file is of the raw ones, or of other cameras; {remedy}.",
@@ -692,10 +698,28 @@ _KINDS = (
         "take more views, so that what they have in common shows, or give the corners' cross-covariances",
     ),
     FindingKind(
+        "corners-not-of-rig", _W, "The corners beside the rig's file are not those that it was made from",
+        "{path} holds the rig's views by name, but was not used: {why}; {remedy}.",
+        "if the rig's file was changed by hand, take it as it was written; else name its own corners with --evidence, or calibrate anew",
+    ),
+    FindingKind(
+        "rig-file-changed", _W, "The rig's file was changed after the calibration",
+        "the rig's R and T are not those of the calibration: the right poses of its views deviate from them on average by "
+        "{standard_errors:.1f} standard errors, where a calibration leaves below 1: the file was changed after it was written; {remedy}.",
+        "take the file as it was written, or calibrate anew from the corners",
+    ),
+    FindingKind(
         "rig-does-not-fit", _W, "The rig does not fit new images at all",
         "left and right corners miss each other under this rig by {pair_px:.2g} px (median), where each camera alone leaves {alone_px:.2g} "
         "px: {what}; {remedy}.",
         "calibrate anew; where that does not last, look for what is loose",
+    ),
+    FindingKind(
+        "rows-off", _W, "Rows of new images are off, and nothing says how well the rig was known",
+        "rectified rows are off by {common_px:.2g} px in all views alike (RMS; by {rest_px:.2g} px otherwise; p = {p_value:.1g}), and the "
+        "rig states no standard deviations that would tell whether it was as bad before: a camera turned, or the calibration was poor; "
+        "{remedy}.",
+        "calibrate anew, or evaluate the rig.json of the calibration",
     ),
     FindingKind(
         "rig-disagrees", _W, "New images do not agree with the rig",

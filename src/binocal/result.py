@@ -15,7 +15,8 @@ from binocal.cameras import StereoRig
 from binocal.errors import DataError
 from binocal.evidence import Detections
 from binocal.evidence.pixel_locking import RigLocking
-from binocal.findings import Finding, Severity
+from binocal.evidence.right_poses import MOST_OFF_BALANCE, imbalance_of_deviations
+from binocal.findings import Finding, Severity, finding
 from binocal.geometry import SE3, so3
 from binocal.shapes import Float
 from binocal.uncertainty import Covariance, DepthSigma, MeanBoardPose, common_field, depth_sigma
@@ -267,6 +268,7 @@ class StereoCalibration:
         }
         used = used.reorder("left", orders["left"]).reorder("right", orders["right"])
         self._check_residuals(self._unlocked(used))
+        self._check_right_poses(used)
         evidence = Evidence(used, self.T_left_board, self.misfit_px or 0.0, self.board_shape, self.T_right_board)
         return replace(self, evidence=evidence)
 
@@ -327,6 +329,27 @@ class StereoCalibration:
                         f"{_NOT_THESE}: {side} view {view.name} is {found:.4g} px from its prediction (RMS), "
                         f"not {stated:.4g} px."
                     )
+
+    def pose_imbalance(self, centre_m: Float[ndarray, "3"]) -> float:
+        """By how many standard errors R and T miss what the views' own right poses deviate from: more than 1 after a change by hand.
+
+        ``centre_m`` is the board's. 0 where the exposures were together, and where a prior of R and T pulled them away. See
+        :mod:`binocal.evidence.right_poses`.
+        """
+        options = self.provenance.get("options")
+        has_prior = isinstance(options, Mapping) and "prior" in options
+        if self.T_right_board is None or self.T_left_board is None or has_prior:
+            return 0.0
+        both = [i for i, v in enumerate(self.views) if np.isfinite(v.left_rms_px) and np.isfinite(v.right_rms_px)]
+        left, right = (SE3(T.R[both], T.t[both]) for T in (self.T_left_board, self.T_right_board))
+        return imbalance_of_deviations(self.rig.T_right_left, left, right, centre_m)
+
+    def _check_right_poses(self, used: Detections) -> None:
+        """Raises DataError: R and T were changed where the views' right poses are their own: residuals do not tell that."""
+        points = used.object_points_m if self.board_shape is None else self.board_shape.points_m
+        off = self.pose_imbalance(points.mean(axis=0))
+        if off > MOST_OFF_BALANCE:
+            raise DataError(finding("rig-file-changed", standard_errors=off).text)
 
     @property
     def euler_sigma_rad(self) -> tuple[float, float, float]:

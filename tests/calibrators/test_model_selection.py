@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from binocal.boards import parse_board
-from binocal.calibrators import CalibrationRequest, calibrate
+from binocal.calibrators import CalibrationRequest, calibrate, model_selection
 from binocal.calibrators.left_out_views import LeftOutErrors
 from binocal.calibrators.lm import calibrate_lm
 from binocal.calibrators.model_selection import (
+    Advantage,
     ModelTrial,
     calibrate_with_best_model,
     choose_by_information,
@@ -203,6 +204,21 @@ def test_a_bias_of_few_views_counts_as_much_as_it_is():
 )
 def test_the_plain_model_stands_unless_another_is_decisively_better(plain, other, expected):
     assert chosen_of(plain, other) == expected
+
+
+@pytest.mark.parametrize(
+    ("rows", "lengths", "model", "is_taken"),
+    [
+        ((1.9, 0.22), (1.4, 0.32), "brown8", True),
+        ((1.9, 0.22), (0.5, 0.32), "brown8", False),
+        ((1.9, 0.05), (1.4, 0.32), "brown8", False),
+        ((1.9, 0.22), (1.4, 0.32), "fisheye4", False),
+    ],
+)
+def test_gains_of_rows_and_of_lengths_count_together(monkeypatch, rows, lengths, model, is_taken):
+    monkeypatch.setattr(model_selection, "gains", lambda kept, other: (Advantage(*rows), Advantage(*lengths)))
+    chosen, why = choose_model([trial("brown4"), trial(model)])
+    assert (chosen.model == model) == is_taken == ("2.3 standard errors together" in why)
 
 
 def test_a_model_without_rays_needs_more_to_win_and_loses_where_it_is_equal():

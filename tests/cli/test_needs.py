@@ -98,10 +98,43 @@ def test_a_rig_without_standard_deviations_is_undecided(tmp_path, calibration, i
     path = tmp_path / "bare.json"
     rig_json.write_rig(path, calibration.rig)
     assert main(["evaluate", str(path), *EVALUATE, "--json"]) == 0
-    assert document_of(capsys)["agreement"] is None
+    document = document_of(capsys)
+    assert document["agreement"] is None and document["common_rows"]["common_px"] < 0.1 and document["findings"] == []
     assert main(["evaluate", str(path), *EVALUATE, "--require", "depth 1% at 1m", "--require", "row 0.5px"]) == 4
     text = capsys.readouterr().out
     assert "states no standard deviations" in text and "Pass     row 0.5px" in text
+    assert "Agreement: only by rows, without the rig's standard deviations: off by 0.0" in text
+
+
+def test_rows_tell_of_a_turn_where_the_rig_states_no_standard_deviations(
+    tmp_path, calibration, images, monkeypatch, capsys
+):
+    T = calibration.rig.T_right_left
+    turned = replace(calibration.rig, T_right_left=SE3(so3.exp(np.radians([0.05, 0, 0])) @ T.R, T.t))
+    path = tmp_path / "bare.json"
+    rig_json.write_rig(path, turned)
+    assert main(["evaluate", str(path), *EVALUATE, "--json"]) == 4
+    (found,) = document_of(capsys)["findings"]
+    assert found["code"] == "rows-off" and found["figures"]["common_px"] == pytest.approx(1.4, abs=0.1)
+    monkeypatch.setattr(evaluating, "find_corners", lambda *given, **o: FoundCorners(seen(3, 1), (), (), (), {}))
+    assert main(["evaluate", str(path), *EVALUATE]) == 0
+    assert "Agreement: cannot be judged: the rig states no standard deviations" in capsys.readouterr().out
+
+
+def test_a_rig_that_was_changed_by_hand_is_named_though_its_residuals_fit(tmp_path, calibration, images, capsys):
+    made = replace(calibration, provenance={**calibration.provenance, "board": SPEC})
+    T, left = made.rig.T_right_left, made.T_left_board
+    rng = np.random.default_rng(0)
+    own = (T @ left).R, (T @ left).t + rng.normal(0, 1e-4, left.t.shape)
+    own = SE3(own[0] @ so3.exp(rng.normal(0, 1e-4, left.t.shape)), own[1])
+    apart = replace(made, evidence=None, T_left_board=left, T_right_board=own, board_shape=None)
+    assert evaluating._changed_by_hand(replace(made, T_right_board=None)) is None  # taken together
+    shifted = replace(apart, rig=replace(apart.rig, T_right_left=SE3(T.R, T.t + [0, 0, 2e-3])))
+    found = evaluating._changed_by_hand(shifted)
+    assert found.code == "rig-file-changed" and found.figures["standard_errors"] > 10
+    assert evaluating._changed_by_hand(replace(shifted, provenance={"board": "a wall"})) is None
+    assert main(["evaluate", written(tmp_path, shifted), *EVALUATE, "--json"]) == 4
+    assert "rig-file-changed" in [one["code"] for one in document_of(capsys)["findings"]]
 
 
 def test_the_truth_judges_exactly(tmp_path, calibration, capsys):

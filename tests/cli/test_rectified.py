@@ -138,5 +138,11 @@ def test_what_is_there_is_kept(folder, tmp_path, capsys):
     assert (out / "mine.txt").read_text() == "mine" and (out / "left_0.png").exists()
 
 
+def test_a_projection_that_there_is_not_is_named_in_one_sentence(capsys):
+    assert main(["rectify", "rig.json", "--left", "l", "--right", "r", "--output", "out", "--projection", "weird"]) == 2
+    said = capsys.readouterr().err
+    assert "'--projection': 'weird' is not one of 'auto', 'pinhole'" in said and "Value error" not in said
+
+
 def test_the_command_line_knows_every_projection():
     assert list(Projections) == ["auto", *PROJECTIONS]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.datasets import trees
 
-from binocal.datasets import open_dataset
+from binocal.datasets import list_pairs, open_dataset
 from binocal.datasets.frames import match_by_time
 from binocal.datasets.kitti import read_raw_rig
 from binocal.errors import DataError
@@ -171,6 +171,28 @@ def test_plain_folder(tmp_path, names):
     assert dataset.scale_source == "unknown"
     (pair,) = dataset.pairs()
     assert [path.name for path in (pair.left_path, pair.right_path)] == [name.rpartition("/")[2] for name in names]
+
+
+def test_files_that_are_no_images_lack_no_partner(tmp_path):
+    for name in ("left_1.png", "left_2.png", "right_1.png", "right_3.png"):
+        trees.write_image(tmp_path / name, grey=50 + len(name) + int(name[-5]) + 10 * (name[0] == "r"))
+    (tmp_path / "rig.json").write_text("{}")
+    pairing = list_pairs(tmp_path, tmp_path)
+    assert [pair.name for pair in pairing.pairs] == ["1"] and len(pairing.ignored) == 3
+    assert [path.name for path in pairing.left_out] == ["left_2.png", "right_3.png"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("kitti:{}:red", r"gray or colour, not 'red'; write kitti:.*:gray or kitti:.*:colour"),
+        ("euroc:{}:x", r"'x' means nothing here; leave it out"),
+        ("folder:{}:x", r"'x' means nothing here; leave it out"),
+    ],
+)
+def test_a_choice_that_there_is_not_is_named(tmp_path, text, message):
+    with pytest.raises(DataError, match=message):
+        open_dataset(text.format(tmp_path))
 
 
 def test_a_path_may_hold_colons(tmp_path):

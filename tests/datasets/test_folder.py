@@ -95,6 +95,24 @@ def test_two_files_are_a_pair_whatever_their_names(make):
     assert pairs_of(folder, "front.png", "back[1].png")[0] == [("front", "front.png", "back[1].png")]
 
 
+@pytest.mark.parametrize(
+    ("left", "right", "is_odd"),
+    [
+        ("left01.png", "right02.png", True),
+        ("imageL_3.png", "imageR_4.png", True),
+        ("left01.png", "right1.png", False),
+        ("cam0.png", "cam1.png", False),
+        ("rig2_left.png", "rig2_right.png", False),
+        ("a.png", "right2.png", False),
+    ],
+)
+def test_two_files_of_different_numbers_are_noted(make, left, right, is_odd):
+    folder = make(left, right)
+    pairing = list_pairs(folder / left, folder / right)
+    assert len(pairing.pairs) == 1 and bool(pairing.notes) == is_odd
+    assert not is_odd or f"{left} and {right} bear different numbers" in pairing.notes[0]
+
+
 def test_lists_of_paths_are_taken_as_they_are(make):
     folder = make("left1.png", "left2.png", "left3.png", "right1.png", "right2.png", "right3.png")
     found = list_pairs([folder / "left1.png", folder / "left3.png"], [folder / "right3.png", folder / "right1.png"])

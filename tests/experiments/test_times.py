@@ -83,6 +83,7 @@ def test_every_method_is_timed_and_what_the_journal_has_is_not_done_again(fast):
     assert len(results) == experiment_times.MOST_TIMED and rendered == [24]
     # the set's own pairs, then what the choice is measured against, then as many as the set has images for
     assert asked[:4] == [(16, 8, "drl"), (16, 16, "drl"), (8, 8, "drl"), (24, 8, "drl")]
+    assert (24, 4, "portfolio") in asked  # of larger images fewer are used
     rows = experiment_times.rows_of_timed(OPTIONS, results)
     of_drl = {row.criterion: row for row in rows if (row.case, row.calibrator) == ("KITTI", "drl")}
     assert of_drl["seconds from images"].median == 2.5 and of_drl["seconds from images"].paper == 5.2

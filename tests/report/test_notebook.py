@@ -69,6 +69,8 @@ def test_plots_use_the_axes_that_they_are_given_and_say_what_is_missing(shown, m
     assert calibration.plot.rig(axes) is axes and len(axes.lines) > 12
     with pytest.raises(ValueError, match="nearest, farthest"):
         calibration.plot.depth(axes, ranges_m=(5.0, 1.0))
+    with pytest.raises(DataError, match=r"nothing in common from 0\.001 to 0\.002 m"):
+        calibration.plot.depth(axes, ranges_m=(1e-3, 2e-3))
     bare = replace(calibration, evidence=None, T_left_board=None)
     for draw, words in (
         (bare.plot.coverage, "no corners"),

@@ -31,8 +31,11 @@ from binocal.errors import DataError
 from binocal.findings import finding
 from binocal.formats.detections_npz import write_detections
 from binocal.formats.rig_json import read_calibration, write_calibration
+from binocal.geometry import SE3, so3
 from binocal.report import printing
+from binocal.report.contents import ReportContents
 from binocal.report.headline import headline_of
+from binocal.report.plan_sections import next_section
 from binocal.report.svg import figure_svg, themed
 from binocal.requirements import parse_requirement
 from binocal.result import Covariance
@@ -158,6 +161,41 @@ def test_warnings_come_before_depth(folder):
     assert bad.points == ("The lens bends light as its model cannot.",)
     twice = headline_of(calibration, (kept, kept))
     assert twice.sentence == care.sentence and twice.points == ()
+
+
+def test_depth_that_is_known_badly_somewhere_stands_in_the_first_line(folder, undrawn):
+    calibration = read_calibration(folder / "rig.json")
+    good = make_report(calibration, folder / "rig.json").headline
+    assert good.sentence == "No fault found." and re.search(r"by 0\.\d+ % at its worst place", good.points[-1])
+    unsure = replace(
+        calibration, covariance=Covariance(calibration.covariance.names, 900 * calibration.covariance.matrix)
+    )
+    at_boards = reporting._uncertainty(unsure)[0]
+    poor = headline_of(unsure.with_evidence(seen(0)), (), (), at_boards)
+    (percent,) = re.findall(r"by ([\d.]+) % at its worst place", poor.points[-1])
+    assert poor.level == "care" and float(percent) > 5
+    assert poor.sentence == f"Use with care: depth is uncertain by up to {percent} % (95 %)."
+    kept = finding("lens-model-misfits", model="brown4", profile_px=0.1, share_percent=9.0, standard_errors=4.0)
+    both = headline_of(unsure, (kept,), (), at_boards)
+    assert both.sentence.endswith(f"as its model cannot, and depth is uncertain by up to {percent} % (95 %).")
+    assert "Nothing was checked anew" in headline_of(unsure, (), (), at_boards).points[0]
+    plans = reporting._usual_plan(unsure, ReportRequest(), BOARD)
+    steps = next_section(ReportContents("rig.json", unsure, plans=plans, at_boards=at_boards)).steps
+    assert re.match(r"Add the 5 views drawn below: the error of depth at its worst place, [\d.]+ % becomes", steps[0])
+    usual = next_section(ReportContents("rig.json", calibration, plans=plans))
+    assert len(usual.steps) == len(steps) - 1
+
+
+def test_corners_beside_that_the_rig_was_not_made_from_come_first(folder, tmp_path, undrawn):
+    calibration = read_calibration(folder / "rig.json")
+    T = calibration.rig.T_right_left
+    turned = SE3(so3.exp(np.radians([0.05, 0, 0])) @ T.R, T.t)
+    write_calibration(tmp_path / "rig.json", replace(calibration, rig=replace(calibration.rig, T_right_left=turned)))
+    (tmp_path / "corners.npz").write_bytes((folder / "corners.npz").read_bytes())
+    run = make_report(read_calibration(tmp_path / "rig.json"), tmp_path / "rig.json")
+    assert run.headline.level == "bad" and "not those that it was made from" in run.headline.sentence
+    write_detections(tmp_path / "corners.npz", seen(0, n_views=4), force=True)  # of another rig, or of a part
+    assert make_report(read_calibration(tmp_path / "rig.json"), tmp_path / "rig.json").headline.level == "good"
 
 
 def test_the_plan_is_drawn_and_what_comes_next_said(page):

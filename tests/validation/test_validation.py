@@ -12,6 +12,7 @@ from binocal.errors import CancelledError, NotConvergedError
 from binocal.findings import Severity
 from binocal.geometry import so3
 from binocal.simulation import StereoScene, random_rig, sample_board_poses, simulate_detections, table2_rig
+from binocal.uncertainty import Covariance
 from binocal.validation import (
     corner_residuals,
     cross_validate,
@@ -59,6 +60,9 @@ def test_a_sound_set_has_notes_with_sizes_and_no_warning(sound, report):
         "Views", "Fit", "Board", "Exposures", "Halves", "Lens", "Rays", "Residuals", "Depth", "Rows",
     ]  # fmt: skip
     assert all(line.severity is None and line.text for line in lines)
+    unsure = replace(sound, covariance=Covariance(sound.covariance.names, 1e4 * sound.covariance.matrix))
+    depth = next(line for line in overview(unsure, report) if line.name == "Depth")
+    assert depth.severity is Severity.WARNING  # 5 % and more at the worst place
 
 
 def test_halves_of_a_rig_that_changed_disagree(sound):

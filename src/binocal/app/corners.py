@@ -68,7 +68,9 @@ def find_corners(
             if not any(each.code == "several-boards" for each in error.findings):
                 raise
             return _find_several(pairing.pairs, boards, options, ignored, rig)
-    return FoundCorners(found.detections, tuple(found.rejected), ignored, tuple(found.notes), found.input_sha256)
+    return FoundCorners(
+        found.detections, tuple(found.rejected), ignored, (*pairing.notes, *found.notes), found.input_sha256
+    )
 
 
 def _find_several(

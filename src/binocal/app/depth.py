@@ -92,6 +92,7 @@ class DepthRun:
     pairs: tuple[PairDepth, ...]
     knows_covariance: bool
     ignored: tuple[tuple[Path, str], ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +155,8 @@ def measure_depth(
             depth = depth_images(name, images, (rectification, maps), distances, lattice, options)
             _write(folder, images, rectification, depth, options)
             found.append(depth.summary)
-        run = DepthRun(rectification, distances, search, tuple(found), lattice is not None, pairing.ignored)
+        told = lattice is not None, pairing.ignored, pairing.notes
+        run = DepthRun(rectification, distances, search, tuple(found), *told)
         write_part(folder / DOCUMENT, dump_json(jsonable(depth_document(calibration, run, options))).encode())
     return run
 

@@ -10,13 +10,15 @@ from numpy import ndarray
 
 from binocal.app.corners import FoundCorners, find_corners
 from binocal.app.measured import checked_board, scale_as_measured
-from binocal.boards import Board, BoardSet
+from binocal.boards import Board, BoardSet, parse_board
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
 from binocal.evidence import Detections
+from binocal.evidence.right_poses import MOST_OFF_BALANCE
 from binocal.findings import Finding, finding, refusal
 from binocal.formats import rig_json
 from binocal.metrics import image, pose
+from binocal.metrics.common_rows import CommonRows, common_rows
 from binocal.metrics.held_out import Criterion, criteria_on_exact_views, exact_views, is_inside
 from binocal.progress import ProgressCallback, ShouldStop
 from binocal.requirements.agreement import Agreement
@@ -62,12 +64,17 @@ class ImageEvaluation:
     """The corners, in the order that the rig gave them."""
     agreement: Agreement | None = None
     """The images against the rig's own standard deviations; None where it states none."""
+    common_rows: CommonRows | None = None
+    """The row error that the views share; None where too few views tell it."""
+    changed: Finding | None = None
+    """That the rig's file is not as the calibration wrote it, where it shows."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What the comparison with the rig has to say."""
-        found = None if self.agreement is None else self.agreement.finding
-        return () if found is None else (found,)
+        """What the comparison with the rig has to say; of a rig without standard deviations, what its rows have."""
+        said = self.agreement or self.common_rows
+        found = self.changed, None if said is None else said.finding
+        return tuple(one for one in found if one is not None)
 
 
 def evaluate_truth(calibration: StereoCalibration, truth: rig_json.Truth, *, seed: int = 0) -> TruthEvaluation:
@@ -199,16 +206,18 @@ def _evaluate_detections(
         kept = np.setdiff1d(np.arange(detections.n_views), of_two_moments)
         detections, T_left_board = detections.select(kept), T_left_board[kept]
         pixel_error = image.pixel_error(rig, detections, T_left_board)
+    row_error = shared = None
     try:
         row_error = image.rectified_row_error(rig, detections)
+        shared = common_rows(rig, detections)
     except CalibrationError as error:
-        row_error = None
         notes.append(f"no row error: {error}")
     lengths = image.length_error(rig, detections, side_m=side_m)
-    agreement = None
+    agreement = changed = None
     if calibration is not None:
         from binocal.calibrators.agreement import measure_agreement
 
+        changed = _changed_by_hand(calibration)
         try:
             agreement = measure_agreement(calibration, detections, T_left_board)
         except (DataError, CalibrationError) as error:
@@ -223,7 +232,20 @@ def _evaluate_detections(
         tuple(notes),
         detections,
         agreement,
+        shared,
+        changed,
     )
+
+
+def _changed_by_hand(calibration: StereoCalibration) -> Finding | None:
+    """A rig's file that is not as it was written, as far as it shows: it names its board, or says what shape that has."""
+    shape, spec = calibration.board_shape, calibration.provenance.get("board")
+    try:
+        points = parse_board(str(spec)).object_points_m if shape is None else shape.points_m
+    except ValueError:
+        return None
+    off = calibration.pose_imbalance(points.mean(axis=0))
+    return finding("rig-file-changed", standard_errors=off) if off > MOST_OFF_BALANCE else None
 
 
 def _alone_rms_px(rig: StereoRig, detections: Detections) -> Float[ndarray, "views"]:

@@ -49,7 +49,8 @@ BOARD_METHODS = {
 }
 """Calibrator and camera model by the rows' name."""
 STREET_METHODS = ("drl", "portfolio", "lm")
-MAX_PAIRS = 8
+MAX_PAIRS = {"KITTI": 8, "Cityscapes": 4, "measured, streets": 4}
+"""Pairs that are used. Of images of 2 million pixels eight take 17 s of processor time, four 8 s."""
 LONG_S = 5.0  # a solve that took longer is not repeated
 REPEATS = 3
 
@@ -155,7 +156,7 @@ def _street(name: str, options: ExperimentOptions, has: Has) -> Iterator[Result]
     given = {"KITTI": options.kitti, "Cityscapes": options.cityscapes}.get(name)
     if not missing or (given is None and name != "KITTI" and options.is_quick):
         return
-    n_pairs = 2 if options.is_quick else MAX_PAIRS
+    n_pairs = 2 if options.is_quick else MAX_PAIRS[name]
     with tempfile.TemporaryDirectory(prefix="binocal-experiment-") as place:
         if given is None:
             from binocal.experiments.sets import render_streets, rig_of_street

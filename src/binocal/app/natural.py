@@ -18,6 +18,7 @@ from binocal.app.natural_drift import (
     drift_of,
     made_by_recalibrate,
     reference_document,
+    reference_values,
 )
 from binocal.app.pair_choice import choose_pairs
 from binocal.app.pair_matching import matches_of
@@ -266,15 +267,17 @@ def source_of_images(left: str, right: str, given: StereoCalibration) -> Natural
     pairing = list_pairs(left, right)
     pairs = [StereoPair(pair.name, pair.left_path, pair.right_path) for pair in pairing.pairs]
     findings: tuple[Finding, ...] = ()
-    if pairing.ignored:
-        names = name_some(path.name for path, _ in pairing.ignored)
-        findings = (finding("dataset-frames-left-out", n_out=len(pairing.ignored), n_pairs=len(pairs), names=names),)
+    if pairing.left_out:
+        names = name_some(path.name for path in pairing.left_out)
+        findings = (finding("dataset-frames-left-out", n_out=len(pairing.left_out), n_pairs=len(pairs), names=names),)
     return _source_of(pairs, given, findings)
 
 
 def _source_of(pairs: Sequence[StereoPair], given: StereoCalibration, findings: tuple[Finding, ...]) -> NaturalSource:
     """Pairs of a rig that was given."""
     reference = given.extra.get(REFERENCE)
+    if reference is not None:
+        reference_values(reference)  # refused before anything is computed
     return NaturalSource(
         pairs, given.rig, given.covariance, reference, made=made_by_recalibrate(given), findings=findings
     )

@@ -21,6 +21,7 @@ ANGLES = ("pitch", "yaw", "roll")
 MADE_OF = {"random_rotation_covariance_rad2", "random_direction_covariance", "pair_scatter_rad2", "n_matches"}
 """What the provenance of a result of ``recalibrate`` holds, and no other's."""
 AGAINST_RIG, AGAINST_REFERENCE = "the rig as given", "the file's own reference"
+LENGTH_TOLERANCE = 1e-6
 PAIR_SCATTER_DEG = np.array([0.012, 0.012, 0.012])
 """By which single pairs differ beside the errors of their matches, at the least: KITTI's grey frames and BumbleBee2 scenes do, in pitch."""
 
@@ -158,9 +159,7 @@ def _values(reference: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> n
     except (TypeError, ValueError):
         values = np.full(1, np.nan)
     if values.shape != shape or not np.isfinite(values).all():
-        raise DataError(
-            f"the rig file's reference is damaged: {key}; write it anew with `binocal recalibrate --reference`."
-        )
+        raise _damaged(f"{key} is not {' x '.join(map(str, shape))} finite numbers")
     return values
 
 
@@ -211,25 +210,33 @@ def reference_document(calibration: StereoCalibration) -> dict[str, Any]:
     }
 
 
-def reference_values(
-    document: Mapping[str, Any],
-) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"], Float[ndarray, "3 3"]]:
+def reference_values(document: Any) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"], Float[ndarray, "3 3"]]:
     """Rotation, direction and random covariance of a reference.
 
     Raises:
         DataError: They are none.
     """
+    if not isinstance(document, Mapping):
+        raise _damaged("it is no object of names and values")
+    missing = [key for key in ("R", "T_direction", "random_rotation_covariance_rad2") if key not in document]
+    if missing:
+        raise _damaged(f"{missing[0]} is missing")
+    R, t = _values(document, "R", (3, 3)), _values(document, "T_direction", (3,))
+    C = _values(document, "random_rotation_covariance_rad2", (3, 3))
     try:
-        R, t, C = (
-            np.array(document[key], dtype=float) for key in ("R", "T_direction", "random_rotation_covariance_rad2")
-        )
         SE3(R, t)
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(
-            f"the rig file's reference is damaged: {error}; write it anew with `binocal recalibrate --reference`."
-        ) from None
-    if C.shape != (3, 3) or not np.isfinite(C).all():
-        raise DataError(
-            "the rig file's reference is damaged: its covariance; write it anew with `binocal recalibrate --reference`."
-        )
+    except ValueError:
+        raise _damaged("R is no rotation") from None
+    if abs(np.linalg.norm(t) - 1) > LENGTH_TOLERANCE:
+        raise _damaged("T_direction is not of length 1")
+    if not np.allclose(C, C.T, atol=1e-6 * np.abs(C).max()) or np.linalg.eigvalsh(C)[0] <= 0:
+        raise _damaged("random_rotation_covariance_rad2 is no covariance")
+    if not isinstance(document.get("pairs", []), list):
+        raise _damaged("pairs is no list of names")
     return R, t, C
+
+
+def _damaged(what: str) -> DataError:
+    return DataError(
+        f"the rig file's reference is damaged: {what}; write it anew with `binocal recalibrate --reference`."
+    )

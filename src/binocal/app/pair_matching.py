@@ -24,6 +24,8 @@ from binocal.threads import n_threads
 T = TypeVar("T")
 
 MIN_FEATURES = 2 * MIN_MATCHES  # of an image; half of them and more have no partner in the other
+MOST_MIRRORED, MOST_MIRRORED_TIMES = 100, 3.0
+"""Matches with one image mirrored, and over those without: a mirrored KITTI pair has 68 as it is."""
 MOST_SPREAD_RATIO = 1.25
 """Of edges in one image over the other's: 0.99 to 1.02 in 25 sound real pairs, 1.27 to 1.40 with a blur of 1.5 px in one."""
 MOST_SPREAD_PX = 2.5  # in both; 0.9 to 1.2 in sharp images
@@ -128,6 +130,9 @@ def what_is_wrong(pair: StereoPair, seen: PairMatches) -> Finding | None:
     for path, n_features in zip(paths, seen.n_features, strict=True):
         if n_features < MIN_FEATURES:
             return finding("image-shows-nothing", image=path, n_features=n_features, n_needed=MIN_FEATURES)
+    if seen.n_mirrored > max(MOST_MIRRORED_TIMES * len(seen.matches), MOST_MIRRORED):
+        counts = seen.n_mirrored, len(seen.matches)
+        return finding("image-mirrored", left=paths[0], right=paths[1], n_mirrored=counts[0], n_matches=counts[1])
     spread = seen.edge_spread_px
     worse = int(spread[1] > spread[0])
     if spread[worse] > MOST_SPREAD_RATIO * spread[1 - worse] or min(spread) > MOST_SPREAD_PX:

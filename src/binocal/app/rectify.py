@@ -37,11 +37,12 @@ class RectifyOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RectifyRun:
-    """What was rectified: the names of the pairs, and the files that are in no pair, with the reason."""
+    """What was rectified: the names of the pairs, the files that are in no pair, with the reason, and what is odd about the pairs."""
 
     rectification: Rectification
     names: tuple[str, ...]
     ignored: tuple[tuple[Path, str], ...]
+    notes: tuple[str, ...] = ()
 
 
 def rectify_images(
@@ -76,7 +77,7 @@ def rectify_images(
                 write_part(folder / f"rows_{name}.png", encode_image(drawn))
         document = rectification_document(rig, rectification) | {"pairs": list(names)}
         write_part(folder / DOCUMENT, dump_json(jsonable(document)).encode())
-    return RectifyRun(rectification, names, pairing.ignored)
+    return RectifyRun(rectification, names, pairing.ignored, pairing.notes)
 
 
 def options_applied(rig: StereoRig, options: RectifyOptions) -> Rectification:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from binocal.app.uncertainty import tell_uncertainty
 from binocal.boards import Board, parse_board
 from binocal.errors import BinocalError, DataError
 from binocal.evidence import Detections
+from binocal.findings import Finding, finding
 from binocal.formats.detections_npz import is_detections_file, read_detections
 from binocal.formats.rig_json import read_calibration, require_calibration
 from binocal.images import CHANNELS
@@ -161,10 +162,10 @@ def _with_corners(
         calibration = calibration.with_evidence(detections)
         _require_same_images(calibration, request, board)
         return calibration, detections, ()
-    found = _corners_beside(calibration, rig)
-    if found is not None:
-        _require_same_images(found[0], request, board)
-        return *found, ()
+    calibration, beside = _corners_beside(calibration, rig)
+    if beside is not None:
+        _require_same_images(calibration, request, board)
+        return calibration, beside, ()
     if request.left is None or request.right is None:
         return calibration, None, (NO_CORNERS,)
     if board is None:
@@ -175,14 +176,24 @@ def _with_corners(
     return calibration.with_evidence(detections), detections, ()
 
 
-def _corners_beside(calibration: StereoCalibration, rig: Path) -> tuple[StereoCalibration, Detections] | None:
-    """The calibration with the corners in the first file beside the rig that holds its own."""
+def _corners_beside(calibration: StereoCalibration, rig: Path) -> tuple[StereoCalibration, Detections | None]:
+    """The calibration with the corners in the first file beside the rig that holds its own, and these; None where none does.
+
+    A file that holds the same views but other corners is a finding.
+    """
+    doubts: list[Finding] = []
+    views = {view.name for view in calibration.views}
     for path in sorted(rig.parent.glob("*.npz"))[:MOST_FILES_TRIED]:
         with contextlib.suppress(BinocalError, ValueError):
-            if is_detections_file(path):
-                detections = read_detections(path)
+            if not is_detections_file(path):
+                continue
+            detections = read_detections(path)
+            try:
                 return calibration.with_evidence(detections), detections
-    return None
+            except DataError as error:
+                if calibration.T_left_board is not None and views and views <= set(detections.names):
+                    doubts.append(finding("corners-not-of-rig", path=path.name, why=str(error).rstrip(".")))
+    return replace(calibration, findings=(*calibration.findings, *doubts[:1])), None
 
 
 def _preparation_of(calibration: StereoCalibration) -> Preparation:

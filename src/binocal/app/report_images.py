@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from binocal.app.depth import DepthOptions, depth_images
@@ -36,6 +38,9 @@ def report_images(
     """
     pairs = {pair.name: pair for pair in list_pairs(left, right).pairs}
     used = [view for view in calibration.views if view.name in pairs]
+    if not used and (of_boards := _pairs_of_boards(calibration, pairs)):
+        rectified, notes = _rectified_or_why(calibration, of_boards[0])
+        return (), rectified, ("each image shows several views, one for each board: no small images are shown", *notes)
     if not used:
         such = f" (such as {calibration.views[0].name})" if calibration.views else ""
         raise DataError(f"none of the images is of a view of this calibration{such}; give those that it was made from.")
@@ -52,12 +57,26 @@ def report_images(
     if len(used) > len(worst):
         notes.append(f"images of the {len(worst)} views of the largest RMS are shown, of {len(used)}")
     best = min(used, key=lambda view: view.rms_px if np.isfinite(view.rms_px) else np.inf)
+    rectified, why = _rectified_or_why(calibration, pairs[best.name])
+    return tuple(shown), rectified, (*notes, *why)
+
+
+def _pairs_of_boards(calibration: StereoCalibration, pairs: Mapping[str, ImagePair]) -> list[ImagePair]:
+    """The pairs of a calibration whose views are boards, several to a pair: those are called after the pair, then the board."""
+    if calibration.evidence is None or calibration.evidence.detections.shots is None:
+        return []
+    names = dict.fromkeys(view.name.rpartition(" board ")[0] for view in calibration.views)
+    return [pairs[name] for name in names if name in pairs]
+
+
+def _rectified_or_why(
+    calibration: StereoCalibration, pair: ImagePair
+) -> tuple[RectifiedImages | None, tuple[str, ...]]:
+    """One pair rectified, or the note that says why it is not."""
     try:
-        rectified = _rectified(calibration, pairs[best.name])
+        return _rectified(calibration, pair), ()
     except CalibrationError as error:
-        rectified = None
-        notes.append(f"no rectified images: {str(error).rstrip('.')}")
-    return tuple(shown), rectified, tuple(notes)
+        return None, (f"no rectified images: {str(error).rstrip('.')}",)
 
 
 def require_same_images(

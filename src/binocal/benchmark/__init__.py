@@ -43,9 +43,9 @@ def _detection(**options: Any) -> dict[str, Any]:
 
 
 def _boards(**options: Any) -> dict[str, Any]:
-    from binocal.benchmark.marker_boards import run_marker_board_benchmark
+    from binocal.benchmark.circle_boards import run_board_benchmark
 
-    return run_marker_board_benchmark(**options)
+    return run_board_benchmark(**options)
 
 
 def _circles(**options: Any) -> dict[str, Any]:

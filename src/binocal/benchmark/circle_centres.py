@@ -2,7 +2,8 @@
 
 The bound of a centre is the inverse Fisher information of a ten-parameter blurred ellipse (:mod:`.ellipse_bound`) over the pixels about
 its true outline, for the noise that was rendered. Errors are those of the projected centres, which a board's points are:
-binocal takes the shift between them and the ellipses' centres out, OpenCV does not. Both find the grid themselves; a
+binocal takes the shift between them and the ellipses' centres out, OpenCV does not, so its points are also held against the
+ellipses' own centres. Both find the grid themselves; a
 grid that looks the same turned is compared with the truth turned alike.
 """
 
@@ -11,7 +12,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ CASES: dict[str, dict[str, Any]] = {
 TOP_DN = 255.0
 FAR_PX = 0.5  # an error beyond it is counted as a failure
 _N_OUTLINE = 24
+_OF_ELLIPSES = "OpenCV, ellipses"
 
 
 @dataclass(slots=True)
@@ -61,11 +63,12 @@ class _Tally:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CircleScene:
-    """An image of a circle grid: the projected centres, their bounds (px^2), and the light's direction in the image."""
+    """An image of a circle grid: projected centres, centroids of the circles' images, bounds (px^2), the light's direction."""
 
     image: ndarray
     board: Board
     centres_px: Float[ndarray, "n 2"]
+    ellipses_px: Float[ndarray, "n 2"]
     bounds_px2: Float[ndarray, "n 2 2"]
     light: Float[ndarray, "2"]
 
@@ -103,7 +106,13 @@ def draw_circle_scene(spec: str, case: str, seed: int) -> CircleScene:
     step = 1e-3 * board.pitch_m * along / max(np.linalg.norm(along), 1e-12)
     middle = board.object_points_m.mean(axis=0)
     moved = np.diff(camera.project(T.apply(np.stack([middle - step, middle + step]))), axis=0)[0]
-    return CircleScene(image, board, centres, bounds, moved / max(np.linalg.norm(moved), 1e-12))
+    return CircleScene(image, board, centres, _centroids(outlines), bounds, moved / max(np.linalg.norm(moved), 1e-12))
+
+
+def _centroids(outlines: Float[ndarray, "n k 2"]) -> Float[ndarray, "n 2"]:
+    following = np.roll(outlines, -1, axis=1)
+    cross = outlines[..., 0] * following[..., 1] - outlines[..., 1] * following[..., 0]
+    return ((outlines + following) * cross[..., None]).sum(axis=1) / (3 * cross.sum(axis=1))[:, None]
 
 
 def _bounds(
@@ -147,11 +156,13 @@ def run_circle_centres_benchmark(
     try:
         for spec in boards:
             for case in cases:
-                tallies = {"binocal": _Tally(), "OpenCV": _Tally()}
+                tallies = {"binocal": _Tally(), "OpenCV": _Tally(), _OF_ELLIPSES: _Tally()}
                 for index in range(images):
                     scene = draw_circle_scene(spec, case, seed + index)
                     _score(tallies["binocal"], scene, *_timed(_find_ours, scene))
-                    _score(tallies["OpenCV"], scene, *_timed(_find_opencv, scene))
+                    theirs = _timed(_find_opencv, scene)
+                    _score(tallies["OpenCV"], scene, *theirs)
+                    _score(tallies[_OF_ELLIPSES], replace(scene, centres_px=scene.ellipses_px), *theirs)
                 rows += [_row(spec, case, name, tally) for name, tally in tallies.items()]
     finally:
         cv2.setNumThreads(own_threads)
@@ -227,11 +238,11 @@ def _format(rows: list[dict[str, Any]], images: int, seed: int, machine: str) ->
         f"{images} rendered images {SIZE_WH[0]}x{SIZE_WH[1]} a case, seed {seed} ({machine})",
         "ratio: error over the image-level bound, root mean square; bias: mean error in x and y, and along the light's slope, with its "
         "standard error; 1 and 2 sigma: share of the errors within what is stated",
-        f"{'board':>9} {'case':>18} {'finder':>8} {'images':>6} {'far':>4} {'rms, px':>8} {'ratio':>6} "
+        f"{'board':>9} {'case':>18} {'finder':>16} {'images':>6} {'far':>4} {'rms, px':>8} {'ratio':>6} "
         f"{'bias, px':>17} {'light':>8} {'error':>7} {'1, 2 sigma':>11} {'CPU, ms':>8}",
     ]
     for row in rows:
-        text = f"{row['board'].split(':')[0]:>9} {row['case']:>18} {row['finder']:>8} {row['n_images']:>6} {row['n_failed']:>4} "
+        text = f"{row['board'].split(':')[0]:>9} {row['case']:>18} {row['finder']:>16} {row['n_images']:>6} {row['n_failed']:>4} "
         if "rms_px" in row:
             x, y = row["bias_px"]
             text += (

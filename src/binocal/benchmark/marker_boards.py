@@ -197,7 +197,7 @@ def run_marker_board_benchmark(
     finally:
         cv2.setNumThreads(own_threads)
     machine = f"{platform.machine()}, Python {platform.python_version()}, OpenCV {cv2.__version__}"
-    text = _format(rows, images, seed, machine)
+    text = format_rows(rows, images, seed, machine)
     if NARROW in cases and any(parse_board(spec).kind == "aprilgrid" for spec in boards):
         text += f"\n{APRILTAG_NOTE}" + ("" if has_apriltag() else f"; left out: {APRILTAG_MISSING}")
     return {"benchmark": "boards", "images": images, "seed": seed, "machine": machine, "rows": rows, "text": text}
@@ -231,16 +231,23 @@ def _row(spec: str, case: str, name: str, tally: _Tally) -> dict[str, Any]:
     }
 
 
-def _format(rows: list[dict[str, Any]], images: int, seed: int, machine: str) -> str:
+def _kind(spec: str) -> str:
+    """A SPEC's kind, with the style of its circles."""
+    board = parse_board(spec)
+    return board.kind + f":{board.circle_style}" * bool(board.circle_style)
+
+
+def format_rows(rows: list[dict[str, Any]], images: int, seed: int, machine: str) -> str:
+    """A table of the rows of boards, cases and finders."""
     lines = [
         f"{images} rendered images {SIZE_WH[0]}x{SIZE_WH[1]} a case, seed {seed} ({machine}); boards: half of the corners or more",
-        f"{'board':>10} {'case':>9} {'finder':>10} {'corners':>8} {'boards':>7} {'wrong':>6} {'rms, px':>8} {'CPU, ms':>8}",
+        f"{'board':>14} {'case':>12} {'finder':>10} {'corners':>8} {'boards':>7} {'wrong':>6} {'rms, px':>8} {'CPU, ms':>8}",
     ]
     for row in rows:
         share = row["n_found"] / max(row["n_visible"], 1)
         rms = "-" if row["rms_px"] is None else f"{row['rms_px']:.4f}"
         lines.append(
-            f"{row['board'].split(':')[0]:>10} {row['case']:>9} {row['finder']:>10} {share:>8.1%} {row['n_boards']:>7} "
+            f"{_kind(row['board']):>14} {row['case']:>12} {row['finder']:>10} {share:>8.1%} {row['n_boards']:>7} "
             f"{row['n_wrong']:>6} {rms:>8} {row['median_ms']:>8.1f}"
         )
     return "\n".join(lines)

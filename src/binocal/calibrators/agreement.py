@@ -5,9 +5,11 @@ deviations, or :data:`NARROW` times them where that explains the corners as well
 where nothing is linear; a narrow one would rather give up the corners of a rig that has changed than follow them.
 
 The difference of the two rigs, over the covariances of both, is a chi-squared statistic with one degree of freedom for each direction of
-which the views say anything. Where standard deviations rest on few views (those that were widened by what views have in common), the
-statistic over its degrees of freedom is F-distributed (Hotelling's T², to first order). Where it is too large, the causes that a rig can
-have are fitted to the difference in turn: the one that explains most names the drift.
+which the views say anything. A single cause may lie in one of these directions and be lost among the chance of all, so each is tested
+alone as well, and the p-value is that of the more telling test, times the number of tests. Where standard deviations rest on few views
+(those that were widened by what views have in common), the statistic over its degrees of freedom is F-distributed (Hotelling's T², to
+first order). Where it is too large, the causes that a rig can have are fitted to the difference in turn: the one that explains most
+names the drift.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy import ndarray
 
-from binocal.calibrators.agreement_causes import likeliest_cause
+from binocal.calibrators.agreement_causes import fit_causes, likeliest_cause
 from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.board_and_exposures import RealViewsSolve
 from binocal.calibrators.joint import RobustSolver, solve_as_they_were, solve_with_misfit
@@ -213,7 +215,11 @@ def _compared(
     variance = 1.0 + excess / t[tells]
     W = (L @ V)[:, tells]
     statistic, freedom = float(np.sum(d**2 / variance)), int(tells.sum())
-    p_value = _chance(freedom, behind, statistic)
+    basis = np.linalg.solve(L, np.eye(len(L)))
+    forms = V.T[tells] @ basis / np.sqrt(variance)[:, None]  # standardised difference of a change of the parameters
+    causes = fit_causes(rig, covariance.names, forms, d / np.sqrt(variance))
+    by_cause = min((_chance(c.freedom, behind, c.gain) for c in causes), default=1.0)
+    p_value = min(1.0, 2 * min(_chance(freedom, behind, statistic), len(causes) * by_cause))
     agreement = Agreement(
         statistic,
         freedom,
@@ -225,10 +231,7 @@ def _compared(
     )
     if agreement.agrees:
         return agreement
-    basis = np.linalg.solve(L, np.eye(len(L)))
-    forms = V.T[tells] @ basis / np.sqrt(variance)[:, None]  # standardised difference of a change of the parameters
-    cause = likeliest_cause(rig, covariance.names, forms, d / np.sqrt(variance), statistic)
-    return replace(agreement, cause=cause)
+    return replace(agreement, cause=likeliest_cause(rig, causes, statistic))
 
 
 def _sound(covariance: Covariance) -> Covariance:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
@@ -16,29 +17,44 @@ ALONG_BASELINE = 0.99  # cosine; hardly a shift by chance, and what a board of a
 NEARLY = 0.97  # of what the best cause explains: as likely as it
 
 
-def likeliest_cause(
-    rig: StereoRig,
-    names: tuple[str, ...],
-    forms: Float[ndarray, "k p"],
-    z: Float[ndarray, "k"],
-    statistic: float,
-) -> Cause | None:
-    """The first of the single causes, the commoner first, that explains nearly as much of the statistic as the best of them.
+@dataclass(frozen=True, slots=True, eq=False)
+class CauseFit:
+    """A single cause fitted to the difference: its ``size`` in each of its directions, known to ``spread``, and what it explains.
 
-    A turn of a camera and a shift of its image look alike from the corners; where both would do, the other is said too.
+    ``gain`` is by how much it lowers the statistic, by chance as chi-squared with ``freedom`` degrees of freedom.
     """
-    fits: list[tuple[float, Cause]] = []
+
+    code: str
+    size: Float[ndarray, "q"]
+    spread: Float[ndarray, "q q"]
+    gain: float
+    freedom: int
+
+
+def fit_causes(
+    rig: StereoRig, names: tuple[str, ...], forms: Float[ndarray, "k p"], z: Float[ndarray, "k"]
+) -> list[CauseFit]:
+    """Every single cause, the commoner first, that the views tell anything of."""
+    fits: list[CauseFit] = []
     for code, directions in _causes(rig, names).items():
         A = forms @ directions
         if not A.any():
             continue
-        solution, *_ = np.linalg.lstsq(A, z, rcond=1e-10)
-        gain = statistic - float(np.sum((z - A @ solution) ** 2))
-        fits.append((gain, _described(rig, code, solution, np.linalg.pinv(A.T @ A), gain / statistic)))
-    best = max((gain for gain, _ in fits), default=0.0)
-    likely = [cause for gain, cause in fits if gain > NEARLY * best]
+        size, _, rank, _ = np.linalg.lstsq(A, z, rcond=1e-10)
+        gain = max(float(np.sum(z**2) - np.sum((z - A @ size) ** 2)), 0.0)
+        fits.append(CauseFit(code, size, np.linalg.pinv(A.T @ A), gain, int(rank)))
+    return fits
+
+
+def likeliest_cause(rig: StereoRig, fits: Sequence[CauseFit], statistic: float) -> Cause | None:
+    """The first of the causes that explains nearly as much of the statistic as the best of them.
+
+    A turn of a camera and a shift of its image look alike from the corners; where both would do, the other is said too.
+    """
+    best = max((fit.gain for fit in fits), default=0.0)
     if not best > 0:
         return None
+    likely = [_described(rig, f.code, f.size, f.spread, f.gain / statistic) for f in fits if f.gain > NEARLY * best]
     others = [
         cause for cause in likely[1:] if cause.code.endswith("image shifted") and likely[0].code.endswith("turned")
     ]

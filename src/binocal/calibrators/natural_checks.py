@@ -32,7 +32,7 @@ MOST_FORWARD_DEG = 15.0
 anew side by side or one above the other as before; one that moved on between the exposures seems to stand behind the other."""
 MOST_NOISE_PX = 1.0  # no matcher leaves more; what another parameter of the cameras would take away of it is theirs
 UPSIDE_DOWN_DEG, REVERSED_DEG = 120.0, 100.0
-_KNOCKED = "the rig was knocked on the way, or flexes, or its cameras do not expose together"
+_KNOCKED = "the rig was knocked on the way or flexes, its cameras do not expose together"
 _SEE_WHEN = "see with `binocal check --stream` when, and give pairs from before or after it"
 RECTIFIED_PX, UNRECTIFIED_PX, RECTIFIED_SHARE = 0.7, 2.0, 0.75
 """Median difference of matches' rows as they are, and by the rig given, for images that were rectified before; the former's share of
@@ -140,7 +140,8 @@ def refuse_knocked(names: Sequence[str], n_pairs: int, estimate: RelativePose, o
     turn_deg, direction_deg = _away_deg(of_others, estimate)
     if turn_deg > MOST_TURN_DEG or direction_deg > MOST_DIRECTION_DEG + turn_deg:
         return
-    what = f"{named(list(names))} show a right camera that is turned by {turn_deg:.2g} deg against that of the others: {_KNOCKED}"
+    shown = f"{named(list(names))} show a right camera that is turned by {turn_deg:.2g} deg against that of the others"
+    what = f"{shown}: {_KNOCKED}, or pairs are mixed up"
     raise refusal(finding("pairs-contradict", n_odd=len(names), n_pairs=n_pairs, what=what, remedy=_SEE_WHEN))
 
 
@@ -226,6 +227,6 @@ def pairs_of_several_poses(n_pairs: int) -> Finding:
         "pairs-contradict",
         n_odd=n_pairs,
         n_pairs=n_pairs,
-        what=f"each fits these cameras with a pose of its own, and no one pose fits all: {_KNOCKED}",
+        what=f"each fits these cameras with a pose of its own, and no one pose fits all: {_KNOCKED}, or its file is of other cameras",
         remedy=_SEE_WHEN,
     )

@@ -7,6 +7,8 @@ dimensions that broadcast against theirs, in the order fx, fy, cx, cy, skew, dis
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy import ndarray
 
@@ -154,6 +156,11 @@ def farthest_angle(parameters: Float[ndarray, "p"]) -> float:
 
 def _fold_radius(distortion: Float[ndarray, "d"]) -> float:
     """Smallest undistorted radius at which the radial mapping stops growing; inf if it never does below 20."""
+    return _fold_radius_of(tuple(distortion.tolist()))
+
+
+@lru_cache(maxsize=64)  # a map of 640 x 480 pixels takes a millisecond, this a tenth of one
+def _fold_radius_of(distortion: tuple[float, ...]) -> float:
     r = np.linspace(0.0, 20.0, 8001)
     with np.errstate(all="ignore"):
         factor, slope, denominator = _radial(r * r, [np.asarray(c) for c in distortion])

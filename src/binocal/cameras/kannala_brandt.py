@@ -7,6 +7,8 @@ Source: Kannala & Brandt 2006, "A generic camera model and calibration method", 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy import ndarray
 
@@ -115,6 +117,11 @@ def unproject(
 
 def farthest_angle(parameters: Float[ndarray, "p"]) -> float:
     """The angle from the axis, radians, at which the polynomial first turns back; 180° if it never does."""
+    return _farthest_angle_of(tuple(parameters[5:].tolist()))
+
+
+@lru_cache(maxsize=64)  # as Brown's models
+def _farthest_angle_of(distortion: tuple[float, ...]) -> float:
     grid = np.linspace(0, np.pi, 4001)
-    is_turned = _polynomial(grid * grid, [np.asarray(c) for c in parameters[5:]])[1] <= 1e-6
+    is_turned = _polynomial(grid * grid, [np.asarray(c) for c in distortion])[1] <= 1e-6
     return float(grid[np.argmax(is_turned)]) if is_turned.any() else np.pi

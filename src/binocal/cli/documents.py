@@ -84,6 +84,7 @@ def images_document(evaluation: ImageEvaluation) -> dict[str, Any]:
         "ignored": [{"path": path, "reason": reason} for path, reason in evaluation.ignored],
         "notes": evaluation.notes,
         "agreement": agreement_document(evaluation.agreement),
+        "common_rows": None if evaluation.common_rows is None else asdict(evaluation.common_rows),
         "findings": [finding_document(found) for found in evaluation.findings],
     }
 

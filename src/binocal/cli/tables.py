@@ -14,6 +14,7 @@ from binocal.cameras import camera_model
 from binocal.cli.exits import one_line
 from binocal.cli.grouping import group_lines, list_names
 from binocal.cli.streams import say
+from binocal.metrics.common_rows import LEAST_VIEWS, CommonRows
 from binocal.metrics.pose import ParameterError
 from binocal.requirements.agreement import LEAST_P, Agreement
 from binocal.result import RejectedView, StereoCalibration
@@ -141,6 +142,8 @@ def images_text(evaluation: ImageEvaluation, is_metric: bool) -> str:
     lines += ["", table] if lines else [table]
     if evaluation.agreement is not None:
         lines.append(agreement_text(evaluation.agreement))
+    else:
+        lines.append(common_rows_text(evaluation.common_rows))
     return "\n".join([*lines, *_rejected_lines(evaluation.rejected, len(evaluation.names))])
 
 
@@ -150,6 +153,16 @@ def agreement_text(agreement: Agreement) -> str:
     return (
         f"Agreement: the images {words} with what the rig's standard deviations allow "
         f"(p = {max(agreement.p_value, LEAST_P):.2g}, {agreement.freedom} directions)"
+    )
+
+
+def common_rows_text(rows: CommonRows | None) -> str:
+    """One line on a rig that states no standard deviations: the row error that the views share, with the p-value."""
+    if rows is None:
+        return f"Agreement: cannot be judged: the rig states no standard deviations, and there are fewer than {LEAST_VIEWS} views"
+    return (
+        f"Agreement: only by rows, without the rig's standard deviations: off by {rows.common_px:.2g} px (RMS) in all "
+        f"{rows.n_views} views alike (p = {max(rows.p_value, LEAST_P):.2g}), by {rows.rest_px:.2g} px otherwise"
     )
 
 

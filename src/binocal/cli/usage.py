@@ -23,7 +23,7 @@ def usage_message(error: Any) -> str:
     if sentence := _about_number(error):
         head, colon, _ = message.partition(": ")
         message = f"{head}{colon}{sentence}"
-    message = message.replace("Input should be", "it must be").rstrip(". ")
+    message = message.replace("Input should be", "it must be").replace(": Value error, ", ": ").rstrip(". ")
     if extra := re.match(r"Got unexpected extra arguments? ?(?:\(s\))? ?\((?P<all>.*)\)$", message, re.DOTALL):
         message = _about_extra(extra["all"])
     return message

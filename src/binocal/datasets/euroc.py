@@ -36,7 +36,8 @@ def open_euroc(path: Path, choice: str = "") -> Dataset:
     root = path / "mav0" if (path / "mav0").is_dir() else path
     if choice or not any((root / name).is_dir() for name in ("cam0", "cam1")):
         problem = f"the choice {choice!r} means nothing here" if choice else "there is no mav0/cam0"
-        raise refusal(finding("dataset-layout-unknown", path=str(path), kind="euroc", problem=problem))
+        remedy = "leave it out" if choice else None
+        raise refusal(finding("dataset-layout-unknown", remedy=remedy, path=str(path), kind="euroc", problem=problem))
     images = [list_images(root / name / "data", side) for name, side in (("cam0", "left"), ("cam1", "right"))]
     files = [root / name / "sensor.yaml" for name in ("cam0", "cam1")]
     (left, T_body_left, left_hz), (right, T_body_right, right_hz) = (_read_sensor(file) for file in files)

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
-from binocal.datasets.naming import Naming, find_naming, natural_key
+from binocal.datasets.naming import Naming, bear_different_numbers, find_naming, natural_key
 from binocal.errors import DataError
 
 IMAGE_SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".dib", ".pgm", ".ppm", ".pnm"))
+_NO_IMAGE = "is not an image (by its suffix)"
 _COPY = re.compile(r"^(?P<original>.+?)(?:\s*[-_ ]?\s*copy(?:\s*\(?\d+\)?)?|\s*\(\d+\))$", re.IGNORECASE)
 
 
@@ -33,6 +34,13 @@ class Pairing:
 
     pairs: tuple[ImagePair, ...]
     ignored: tuple[tuple[Path, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    """What is odd about the pairs that were taken."""
+
+    @property
+    def left_out(self) -> tuple[Path, ...]:
+        """The images among the ignored files."""
+        return tuple(path for path, reason in self.ignored if reason != _NO_IMAGE)
 
 
 def list_pairs(
@@ -44,18 +52,24 @@ def list_pairs(
     Images are paired by what their names share once the part that distinguishes the sides is taken away (left01 and
     right01, imageL0 and imageR0, cam0/17.png and cam1/17.png). Leading zeros do not count unless they distinguish images
     apart. Nothing is paired by position: orphans, copies ("left03 (1).jpg") and double numbers are listed in
-    ``ignored``. Two single files are a pair whatever they are called.
+    ``ignored``. Two single files are a pair whatever they are called; numbers that differ are noted.
 
     Raises:
         DataError: A side holds no image, no name is shared, or left and right are the same images.
     """
     ignored: dict[Path, str] = {}
+    notes: tuple[str, ...] = ()
     sides = [_list_images(side, source, ignored) for side, source in (("left", left), ("right", right))]
     lefts, rights = sides
     if len(lefts) == len(rights) == 1 and lefts[0] != rights[0]:
         naming = find_naming(lefts, rights)
         name = naming.left_names.get(lefts[0], "") if naming else ""
         candidates = [ImagePair(name or lefts[0].stem, lefts[0], rights[0])]
+        if bear_different_numbers(lefts[0], rights[0]):
+            notes = (
+                f"{lefts[0].name} and {rights[0].name} bear different numbers: they are taken for a pair because no other image was "
+                "given; make sure that they are of one moment.",
+            )
     else:
         naming = find_naming(lefts, rights)
         if naming is None:
@@ -73,7 +87,7 @@ def list_pairs(
         candidates = [replace(pair, name=str(pair.left_path)) for pair in candidates]
     pairs = _drop_identical(candidates, ignored)
     order = sorted(ignored, key=lambda path: natural_key(str(path)))
-    return Pairing(tuple(pairs), tuple((path, ignored[path]) for path in order))
+    return Pairing(tuple(pairs), tuple((path, ignored[path]) for path in order), notes)
 
 
 def list_images(
@@ -106,7 +120,7 @@ def _list_images(
         if path.suffix.lower() in IMAGE_SUFFIXES or (is_named and not path.is_dir()):
             images.append(path)
         elif not path.is_dir():
-            ignored[path] = "is not an image (by its suffix)"
+            ignored[path] = _NO_IMAGE
     present = {(path.parent, path.stem.lower()) for path in images}
     for path in list(images):
         copy = _COPY.match(path.stem)

@@ -67,7 +67,8 @@ def open_kitti(path: Path, choice: str = "") -> Dataset:
             partner, or a size is not the calibration's; each with its finding.
     """
     if choice and choice not in COLOURS:
-        raise _unknown(path, f"the pair is gray or colour, not {choice!r}")
+        remedy = f"write kitti:{path}:gray or kitti:{path}:colour"
+        raise _unknown(path, f"the pair is gray or colour, not {choice!r}", remedy)
     root, layout = _find_root(path)
     numbers, folders = layout.pair(root, COLOURS.get(choice))
     sides = [folder / "data" if layout is _RAW else folder for folder in folders]
@@ -84,8 +85,8 @@ def open_kitti(path: Path, choice: str = "") -> Dataset:
     return Dataset("kitti", f"KITTI {what}, rectified", path, pairs, True, SCALE_SOURCE)
 
 
-def _unknown(path: Path, problem: str) -> BinocalError:
-    return refusal(finding("dataset-layout-unknown", path=str(path), kind="kitti", problem=problem))
+def _unknown(path: Path, problem: str, remedy: str | None = None) -> BinocalError:
+    return refusal(finding("dataset-layout-unknown", remedy=remedy, path=str(path), kind="kitti", problem=problem))
 
 
 def _find_root(path: Path) -> tuple[Path, _Layout]:

@@ -75,6 +75,19 @@ def find_naming(lefts: Sequence[Path], rights: Sequence[Path]) -> Naming | None:
     return best[1] if best else None
 
 
+def bear_different_numbers(left: Path, right: Path) -> bool:
+    """Whether two names say which side they are of, and numbers that differ: left01 and right02 are of two moments, cam0 and cam1 not."""
+    tokens = _tokens(left.stem), _tokens(right.stem)
+    if len(tokens[0]) != len(tokens[1]):
+        return False
+    changed = [(a.lower(), b.lower()) for a, b in zip(*tokens, strict=True) if a.lower() != b.lower()]
+    numbers = [(a, b) for a, b in changed if a.isdigit() and b.isdigit()]
+    sides = [
+        change for change in changed if change not in numbers and (change in _OPPOSITES or change[::-1] in _OPPOSITES)
+    ]
+    return bool(sides) and any(int(a) != int(b) for a, b in numbers)
+
+
 def _tokens(text: str) -> tuple[str, ...]:
     return tuple(_TOKEN.findall(text))
 

@@ -38,13 +38,14 @@ def open_folder(path: Path, choice: str = "") -> Dataset:
         DataError: There are no two sides, or no names are shared.
     """
     if choice:
+        problem = f"the choice {choice!r} means nothing here"
         raise refusal(
-            finding("dataset-layout-unknown", path=str(path), kind="folder", problem=f"{choice!r} means nothing here")
+            finding("dataset-layout-unknown", remedy="leave it out", path=str(path), kind="folder", problem=problem)
         )
     left, right = _find_sides(path)
     pairing = list_pairs(left, right)
     pairs = tuple(StereoPair(pair.name, pair.left_path, pair.right_path) for pair in pairing.pairs)
-    alone = [str(file.relative_to(path)) for file, reason in pairing.ignored if reason.startswith("has no")]
+    alone = [str(file.relative_to(path)) for file in pairing.left_out]
     findings = ()
     if alone:
         names = name_some(alone)

@@ -7,7 +7,7 @@ from numpy import ndarray
 
 from binocal.boards import Board
 from binocal.boards.board import HOLE, LARGE
-from binocal.detection.finding.blobs import Blobs, find_blobs
+from binocal.detection.finding.blobs import LARGE_BLOCKS, SMALL_BLOCKS, USUAL_BLOCKS, Blobs, find_blobs
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
 from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane
@@ -17,15 +17,18 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.circle_shift import measure_circle_shift
 from binocal.detection.measuring.ellipses import measure_spots
 from binocal.kernels.image_lens import LensFitOptions
-from binocal.shapes import Float, Float32, Int
+from binocal.shapes import Float, Int, UInt8
 
 MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
-# Scale and polarity: at half the size first, which is four times as fast.
-_LEVELS = ((2, True), (2, False), (1, True), (1, False))
+# Scale, polarity and thresholds: at half the size first, which is four times as fast and shows all circles but the smallest.
+_LEVELS = (
+    (2, True, USUAL_BLOCKS), (2, False, USUAL_BLOCKS), (1, True, SMALL_BLOCKS), (1, False, SMALL_BLOCKS),
+    (2, True, LARGE_BLOCKS), (2, False, LARGE_BLOCKS),
+)  # fmt: skip
 LEAST_OF_UNKNOWN = 12  # circles of a grid of which nothing is known: fewer are found in clutter
 
 
-def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Board) -> FoundBoard:
+def detect_circles(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
     """The circles' centres; the whole board must be visible, unless three of its circles are marked.
 
     Centres are those of the circles themselves: the shift of a disc's centroid under perspective is taken out with the
@@ -38,11 +41,13 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
         least = LEAST_MARKED
     size_wh = grey.shape[1], grey.shape[0]
     best: tuple[int, tuple[int, int]] | None = None
-    fullest: tuple[int, FoundBoard] | None = None
+    fullest: tuple[int, FoundBoard, bool] | None = None
     n_most = 0
     is_mirrored = False
-    for scale, is_dark in _LEVELS:
-        blobs = find_blobs(stretched, is_dark=is_dark, scale=scale)
+    for scale, is_dark, blocks in _LEVELS:
+        if fullest is not None and (scale, is_dark) != (1, fullest[2]):
+            continue  # at full size more of its circles may be seen
+        blobs = find_blobs(stretched, is_dark=is_dark, scale=scale, blocks=blocks)
         n_most = max(n_most, len(blobs))
         for lattice in grow_point_lattices(blobs.centres_px, blobs.radii_px, size_wh, least=least, enough=enough):
             if board.marked_points:
@@ -57,7 +62,7 @@ def detect_circles(grey: ndarray, stretched: Float32[ndarray, "h w"], board: Boa
                 if n_found >= enough or not board.marked_points:
                     return found
                 if found.is_found and (fullest is None or n_found > fullest[0]):
-                    fullest = n_found, found
+                    fullest = n_found, found, is_dark
                 continue
             (columns, rows), n_seen = measure_lattice(lattice, blobs.centres_px, board.kind)
             if board.marked_points:
@@ -97,7 +102,7 @@ def _not_found(board: Board, best: tuple[int, tuple[int, int]] | None, n_spots: 
     )
 
 
-def find_circle_grid(stretched: Float32[ndarray, "h w"]) -> Board | None:
+def find_circle_grid(stretched: UInt8[ndarray, "h w"]) -> Board | None:
     """The fullest circle grid in an image, of either kind (its pitch is not known); None where there is none."""
     fullest: tuple[int, Board] | None = None
     for is_dark in (True, False):

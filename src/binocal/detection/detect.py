@@ -54,17 +54,14 @@ def detect_in_layout(
 def _detect_kind(
     grey: ndarray, board: Board, layout: Layout | TagLayout | None
 ) -> tuple[FoundBoard, Layout | TagLayout | None]:
-    if board.kind in ("circles", "acircles"):
-        stretched, problem = stretch(grey)
-        if problem:
-            return not_found(board.n_points, problem), None
-        # Each kind of board is loaded when it is first asked for.
-        from binocal.detection.circles import detect_circles
-
-        return detect_circles(grey, stretched, board), None
     stretched, problem = stretch_8_bit(grey)
     if problem:
         return not_found(board.n_points, problem), None
+    # Each kind of board is loaded when it is first asked for.
+    if board.kind in ("circles", "acircles"):
+        from binocal.detection.circles import detect_circles
+
+        return detect_circles(grey, stretched, board), None
     if board.kind == "charuco":
         from binocal.detection.charuco import detect_charuco
 

@@ -81,7 +81,7 @@ def recognize(grey: ndarray) -> SeenBoard | None:
     seen = _recognize_chessboard(grey) or _recognize_markers(to_8_bit(stretched))
     if seen is not None:
         return seen  # before circles: squares pass for them, and those at the corners of tags make a grid
-    circles = find_circle_grid(stretched)
+    circles = find_circle_grid(stretch_8_bit(grey)[0])
     is_found = circles is not None and detect(grey, circles).is_found
     return SeenBoard(circles.kind, circles.columns, circles.rows) if circles is not None and is_found else None
 

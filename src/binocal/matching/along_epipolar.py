@@ -61,6 +61,8 @@ def match_along_epipolar(left: ndarray, right: ndarray, rig: StereoRig, left_px:
 
 def _match(left: ndarray, right: ndarray, rig: StereoRig, left_px: Float[ndarray, "2"], half: int) -> EpipolarMatch:
     reach = half + MARGIN_PX
+    if not _is_inside(left_px[None], left.shape, 0)[0]:
+        raise NotMatchedError(f"it lies outside of the left image of {left.shape[1]}x{left.shape[0]} pixels")
     if not _is_inside(left_px[None], left.shape, reach)[0]:
         raise NotMatchedError(f"it lies less than {reach} pixels from the border of the left image")
     places, warps = _places(rig, left_px, right.shape, reach)

@@ -31,11 +31,15 @@ class MatchOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMatches:
-    """The matches of a pair, and what its images are like, left first: features found, and the spread of edges around them, pixels."""
+    """The matches of a pair, and what its images are like, left first: features found, and the spread of edges around them, pixels.
+
+    ``n_mirrored`` is how many features match where one image is mirrored; sought only where few match as they are.
+    """
 
     matches: PointMatches
     n_features: tuple[int, int]
     edge_spread_px: tuple[float, float]
+    n_mirrored: int = 0
 
 
 def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions | None = None) -> PairMatches:
@@ -56,7 +60,11 @@ def match_pair(left: ndarray, right: ndarray, name: str, options: MatchOptions |
         right_px = np.where(agrees[:, None], refined, right_px)
     sizes = [(image.shape[1], image.shape[0]) for image in (left, right)]
     matches = PointMatches(left_px, right_px, np.zeros(len(left_px), dtype=int), (name,), sizes[0], sizes[1])
-    return PairMatches(matches, (len(first.points_px), len(second.points_px)), spread)
+    n_mirrored = 0
+    if len(matches) < FEW_MATCHES:
+        mirrored = find_features(np.ascontiguousarray(as_bytes(right)[:, ::-1]), options.n_features)
+        n_mirrored = len(match_features(first, mirrored, options.ratio))
+    return PairMatches(matches, (len(first.points_px), len(second.points_px)), spread, n_mirrored)
 
 
 def _refined(

@@ -87,10 +87,13 @@ class CalibrationPlots:
         """The 95 % error of depth over range, by cause; by default about the boards' distance. Lengths are metres (board pitches).
 
         Raises:
-            DataError: The calibration states no covariance, or the range is not known.
+            DataError: The calibration states no covariance, the range is not known, or the cameras see nothing in common there.
             ValueError: The range does not run from near to far.
         """
         maps = _ranges(self._calibration, ranges_m, matching_px)
+        if not any(found.field.is_common.any() for found in maps):
+            near, far = (f"{found.field.depth_m:.3g}" for found in (maps[0], maps[-1]))
+            raise DataError(f"the cameras see nothing in common from {near} to {far} {_unit(self._calibration)}.")
         axes = _one(axes)
         sigma_figures.draw_depth_over_range(axes, maps, _unit(self._calibration))
         return axes
@@ -133,7 +136,7 @@ def _html_figures(calibration: StereoCalibration, ranges: tuple[RangeMap, ...]) 
         figures = [
             figure_svg(lambda axes: rig_figures.draw_rig(axes, scene), name="nb-rig", title="The rig from above")
         ]
-        if ranges:
+        if any(found.field.is_common.any() for found in ranges):
             figures.append(
                 figure_svg(
                     lambda axes: sigma_figures.draw_depth_over_range(axes, ranges, unit),

@@ -7,7 +7,7 @@ from binocal.planning import ViewPlan
 from binocal.report import rig_figures
 from binocal.report.axes import image_height
 from binocal.report.contents import ReportContents
-from binocal.report.headline import by_weight
+from binocal.report.headline import by_weight, poor_depth
 from binocal.report.numbers import three_digits
 from binocal.report.section import Picture, Section, Table
 from binocal.report.svg import WIDTH_INCHES, figure_svg
@@ -25,6 +25,8 @@ def next_section(contents: ReportContents) -> Section:
         elif is_open:
             enough = "which is enough" if plan.is_enough else f"which is not enough; {plan.why}"
             steps.append(f"Add {_count(plan)} drawn below for {plan.requirement.text}: {_change(plan)}, {enough}.")
+        elif not contents.verdicts and poor_depth(contents.at_boards):
+            steps.append(f"Add {_count(plan)} drawn below: the error of depth at its worst place, {_change(plan)}.")
     if warnings:
         steps.append("Calibrate anew, and make this report again.")
     else:

@@ -46,8 +46,9 @@ def draw_depth_over_range(axes: Axes, ranges: Sequence[RangeMap], unit: str) -> 
             if p > 0
         ]
     axes.grid(True, which="major")
-    axes.legend(loc="best")
-    _plain_ticks(axes)
+    if tips:
+        axes.legend(loc="best")
+        _plain_ticks(axes)
     return tips
 
 

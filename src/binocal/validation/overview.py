@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,9 +10,10 @@ from binocal.errors import DataError
 from binocal.findings import Finding, Severity
 from binocal.requirements.figures import COVERAGE, usual_range
 from binocal.result import StereoCalibration
-from binocal.uncertainty.maps import range_map
+from binocal.uncertainty.maps import RangeMap, range_map
 from binocal.validation.checks import ValidationReport
 
+POOR_DEPTH_PERCENT = 5.0  # 95 % error at the worst place in the common view: ordinary rigs have 0.2 to 3
 SURE_SIGMAS = 3.0  # of a bow or stretch, to be named
 
 
@@ -45,16 +46,26 @@ _CODES = {
 
 def overview(calibration: StereoCalibration, report: ValidationReport) -> tuple[CheckLine, ...]:
     """The lines that can be said of this calibration, at most ten, in a fixed order."""
+    told = _at_boards(calibration)
     texts = {
         "Views": _views(calibration),
         "Fit": _fit(calibration),
         "Board": _board(calibration),
         "Exposures": _exposures(calibration),
         **_of_report(calibration, report),
-        **_precision(calibration),
+        **({} if told is None else _precision(calibration, told)),
     }
     found = (*calibration.findings, *report.warnings)
-    return tuple(_line(name, texts[name], found) for name in _CODES if texts.get(name))
+    lines = (_line(name, texts[name], found) for name in _CODES if texts.get(name))
+    poor = {"Depth"} if told is not None and worst_percent(told) >= POOR_DEPTH_PERCENT else set()
+    return tuple(replace(line, severity=Severity.WARNING) if line.name in poor else line for line in lines)
+
+
+def worst_percent(at_boards: RangeMap) -> float:
+    """The 95 % error of depth, relative, that the calibration leaves at its worst place; 0 where nothing is seen in common."""
+    if not at_boards.field.is_common.any():
+        return 0.0
+    return float(np.nanmax(COVERAGE * 100 * at_boards.depth.calibration_m / at_boards.depth.depth_m))
 
 
 def _line(name: str, text: str, findings: tuple[Finding, ...]) -> CheckLine:
@@ -137,18 +148,22 @@ def _of_report(calibration: StereoCalibration, report: ValidationReport) -> dict
     return lines
 
 
-def _precision(calibration: StereoCalibration) -> dict[str, str]:
+def _at_boards(calibration: StereoCalibration) -> RangeMap | None:
+    """Depth and rows at the boards' distance; None where that, or the covariance, is not known."""
     range_m = usual_range(calibration)
     if not np.isfinite(range_m):
-        return {}
+        return None
     try:
         told = range_map(
             calibration.rig, calibration.stated_covariance, range_m, board_scale_sigma=calibration.board_scale_sigma
         )
     except DataError:
-        return {}
-    if not told.field.is_common.any():
-        return {}
+        return None
+    return told if told.field.is_common.any() else None
+
+
+def _precision(calibration: StereoCalibration, told: RangeMap) -> dict[str, str]:
+    range_m = usual_range(calibration)
     unit = "m" if calibration.rig.is_metric else "pitches"
     relative, middle, worst = COVERAGE * 100 * told.depth.relative, told.field.middle, told.worst
     x, y = told.field.left_px[worst]

@@ -45,6 +45,18 @@ def test_grids_are_followed_through_strong_lenses(spec, field_deg, xi_rad):
     assert any(np.array_equal(named, symmetries.order[k]) for k in turns)
 
 
+@pytest.mark.parametrize("roll_rad", [0.3, 1.2, 2.5, -2.0])
+def test_a_narrow_grid_is_not_sheared_by_a_place(roll_rad):
+    board, points, order = through_lens("circles:2x12:30mm", 60, (0.1, 0.2, roll_rad), distance=12)
+    points, order = points[order != 5], order[order != 5]
+    (lattice,) = grow(points, board)
+    index = match_circles(lattice, points, board)
+    assert index is not None and (index < 0).sum() == 1
+    known = np.flatnonzero(index >= 0)
+    named = order[index[known]].tolist()
+    assert named in (known.tolist(), (23 - known).tolist())  # itself, or turned by half
+
+
 def test_a_stray_spot_beyond_the_grid_does_not_change_its_size():
     board, points, order = through_lens("circles:7x5:30mm", 60, (0.1, 0.2, 0.3), distance=1.5)
     place = np.argsort(order)

@@ -83,7 +83,7 @@ def rectify(
     given = load_rig(rig)
     with progress_on_terminal() as progress:
         run = rectify_images(given, left, right, output, options, force=force, progress=progress)
-    list_left_out([(str(path), reason) for path, reason in run.ignored], (), ())
+    list_left_out([(str(path), reason) for path, reason in run.ignored], (), run.notes)
     present(texts.rectify_document(given, run, output), texts.rectify_text(given, run, output), json)
     return FINE
 
@@ -146,7 +146,7 @@ def depth(
     options = DepthOptions(rectifying, distances, None, noise_px, png_units)
     with progress_on_terminal() as progress:
         run = measure_depth(given, left, right, output, options, force=force, progress=progress)
-    list_left_out([(str(path), reason) for path, reason in run.ignored], (), ())
+    list_left_out([(str(path), reason) for path, reason in run.ignored], (), run.notes)
     document = depth_document(given, run, options) | {"output": str(output)}
     present(document, texts.depth_text(given.rig, run, options, output), json)
     return FINE

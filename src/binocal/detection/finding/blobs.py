@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.shapes import Bool, Float, Float32, Int, UInt8
+from binocal.shapes import Bool, Float, Int, UInt8
 
 MIN_AREA_PX2 = 6  # of a component, in pixels of the scale
 MIN_CONTRAST_DN = 12.0
@@ -16,10 +16,9 @@ MAX_SHARE = 0.36  # of the image's shorter side, that a spot may be wide and hig
 MAX_ASPECT = 5.0
 LEAST_MINOR_PX = 0.8  # half-axis, in pixels of the scale
 LEAST_FULL = 0.25  # of its ellipse, that a ring fills: its hole is then 0.77 as wide as the ring
-_BLOCKS = {
-    2: (0.09, 0.2),
-    1: (0.04, 0.09, 0.2, 0.45),
-}  # by the scale: sides of the local thresholds, of the image's shorter side
+# Sides of the local thresholds, of the image's shorter side: a spot must be narrower.
+USUAL_BLOCKS, SMALL_BLOCKS, LARGE_BLOCKS = (0.12,), (0.04, 0.09), (0.2, 0.45)
+ALL_BLOCKS = (*SMALL_BLOCKS, *LARGE_BLOCKS)
 _BELOW_DN = 6  # the mean of its block: what counts as a spot
 _ANGLES = np.arange(8) * np.pi / 4
 
@@ -52,21 +51,19 @@ class Blobs:
         return Blobs(self.centres_px[index], self.axes_px[index], self.angles_rad[index], self.hollowness[index])
 
 
-def find_blobs(stretched: Float32[ndarray, "h w"], *, is_dark: bool, scale: int = 1) -> Blobs:
-    """Elliptic spots, darker (or brighter) than what is around them, by local thresholds of several sizes.
+def find_blobs(
+    stretched: UInt8[ndarray, "h w"], *, is_dark: bool, scale: int = 1, blocks: tuple[float, ...] = ALL_BLOCKS
+) -> Blobs:
+    """Elliptic spots, darker (or brighter) than what is around them, by local thresholds of so many sizes.
 
     ``scale`` 2 looks at the image of half the size, which is four times as fast and loses spots below a radius of 3 px.
     Spots that touch the image's border are none.
     """
-    image = (
-        cv2.convertScaleAbs(np.clip(stretched, 0, 255))
-        if is_dark
-        else cv2.convertScaleAbs(255 - np.clip(stretched, 0, 255))
-    )
+    image = stretched if is_dark else 255 - stretched
     if scale == 2:
         image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (3, 3), 0)
-    found = [_find_with_block(image, max(7, int(share * min(image.shape))) | 1) for share in _BLOCKS[scale]]
+    found = [_find_with_block(image, max(7, int(share * min(image.shape))) | 1) for share in blocks]
     spots, misfit = (np.concatenate(parts) for parts in zip(*found, strict=True))
     spots = spots[np.argsort(misfit, kind="stable")]
     blobs = Blobs(spots[:, :2], spots[:, 2:4], spots[:, 4], np.zeros(len(spots)))

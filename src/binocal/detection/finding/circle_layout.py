@@ -22,16 +22,20 @@ def match_circles(
 
     Of several ways that fit, the one whose rows run most to the lower right.
     """
-    points = points_px[lattice.members]
-    best: tuple[float, ndarray] | None = None
-    for xy in lattice_layouts(lattice, points, board.kind, turns=4):
+    points, n = points_px[lattice.members], len(lattice.members)
+    best: tuple[int, float, ndarray] | None = None
+    for turn, xy in enumerate(lattice_layouts(lattice, points, board.kind, turns=4)):
+        if turn % 4 == 0 and best is not None and best[0] == n:
+            break  # no other basis holds more
         first = _Occupancy(xy, board.kind).window(board)
         if first is None:
             continue
-        way = _way(xy, points)
-        if best is None or way > best[0]:
-            best = way, assign_points(lattice, xy - first, board)
-    return None if best is None else best[1]
+        index = assign_points(lattice, xy - first, board)
+        # the most points first: a narrow grid sheared by a place has one or two outside
+        rank = int((index >= 0).sum()), _way(xy, points)
+        if best is None or rank > best[:2]:
+            best = *rank, index
+    return None if best is None else best[2]
 
 
 def measure_lattice(

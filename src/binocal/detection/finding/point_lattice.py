@@ -115,38 +115,27 @@ def _grow_from(
     points: ndarray, radii: ndarray, seed: int, basis: tuple[ndarray, ndarray], free: ndarray
 ) -> LatticePoints:
     """The lattice reached from a seed, one ring of cells a round, each from all that is known about it."""
-    index = np.where(free, np.arange(len(points)), -1)
-    index = index[index >= 0]
+    index = np.flatnonzero(free)
     x, y, sizes = points[index, 0], points[index, 1], np.log(radii[index])
     is_left = index != seed
-    place = np.full((1, 1), seed)
-    origin = np.zeros(2, int)  # of the array, in cells before the seed
+    canvas = _Canvas(points, np.log(radii), seed)
     while is_left.any():
-        place = np.pad(place, 1, constant_values=-1)
-        origin = origin + 1
         # the seed's own steps hold about the seed alone
-        row, column, expected, step, size = _expect(place, points, np.log(radii), basis if place.size == 9 else None)
-        if not len(row):
-            break
+        cells, expected, step, size = canvas.expect(basis if canvas.n == 1 else None)
         squared = (expected[:, 0, None] - x) ** 2 + (expected[:, 1, None] - y) ** 2
         squared[:, ~is_left] = np.inf
         best = squared.argmin(axis=1)
         off = np.sqrt(np.nan_to_num(squared[np.arange(len(best)), best], nan=np.inf)) / step
         is_good = (off < MAX_STEP_ERROR) & (np.abs(sizes[best] - size) < np.log(MAX_RADIUS_RATIO))
+        if not is_good.any():
+            break
         if (is_good & (off < SURE_STEP_ERROR)).any():
             is_good &= off < SURE_STEP_ERROR
-        taken = [k for k in np.argsort(off) if is_good[k]]
-        n_before = int(is_left.sum())
-        for k in taken:
-            if is_left[best[k]]:
-                place[row[k], column[k]] = index[best[k]]
+        for k in np.argsort(off)[: int(is_good.sum())]:  # the good ones are the nearest, but for those of unlike size
+            if is_good[k] and is_left[best[k]]:
+                canvas.put(cells[k], int(index[best[k]]))
                 is_left[best[k]] = False
-        if int(is_left.sum()) == n_before:
-            break
-        place, before = _trim(place)
-        origin = origin - before
-    cells = np.argwhere(place >= 0)
-    return LatticePoints(place[tuple(cells.T)], cells - origin)
+    return canvas.lattice()
 
 
 def complete_by_lens(
@@ -184,34 +173,58 @@ def complete_by_lens(
     return LatticePoints(members, cells)
 
 
-def _trim(place: Int[ndarray, "h w"]) -> tuple[Int[ndarray, "h2 w2"], Int[ndarray, "2"]]:
-    """Without empty lines at the border, and how many were before the first cell."""
-    rows, columns = (np.flatnonzero((place >= 0).any(axis=axis)) for axis in (1, 0))
-    return place[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], np.array([rows[0], columns[0]])
+class _Canvas:
+    """Cells about a seed with room beyond them: indices of their points, -1 where none, the points, and their sizes' logarithms."""
 
+    _APRON = 4
 
-def _expect(
-    place: Int[ndarray, "h w"], points: ndarray, sizes: ndarray, basis: tuple[ndarray, ndarray] | None
-) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
-    """Empty cells beside taken ones: their rows and columns, where their points should be, the step and size there."""
-    is_taken = place >= 0
-    apron = 3
-    wide = np.pad(np.where(is_taken[..., None], points[place], np.nan), ((apron, apron), (apron, apron), (0, 0)))
-    wide[:apron] = wide[-apron:] = np.nan
-    wide[:, :apron] = wide[:, -apron:] = np.nan
-    known = np.pad(is_taken, 1)
-    beside = known[2:, 1:-1] | known[:-2, 1:-1] | known[1:-1, 2:] | known[1:-1, :-2]
-    row, column = np.nonzero(beside & ~is_taken)
-    at = np.stack([row, column], axis=-1) + apron
-    size_map = np.pad(np.where(is_taken, sizes[place], np.nan), apron, constant_values=np.nan)
-    expected, weight, step, size = _from_each_side(wide, size_map, at, basis)
-    is_known = np.isfinite(expected[..., 0])
-    weight = np.where(is_known, weight, 0.0)
-    total, n_sides = weight.sum(axis=0), np.maximum(is_known.sum(axis=0), 1)
-    expected = (weight[..., None] * np.where(is_known[..., None], expected, 0.0)).sum(axis=0)
-    expected = np.where(total[:, None] > 0, expected / np.maximum(total, 1e-12)[:, None], np.inf)
-    step, size = (np.where(is_known, values, 0.0).sum(axis=0) / n_sides for values in (step, size))
-    return row, column, expected, np.maximum(step, 1e-9), size
+    def __init__(self, points: ndarray, sizes: ndarray, seed: int) -> None:
+        self._all_points, self._all_sizes = points, sizes
+        self._place = np.full((64, 64), -1)
+        self._points = np.full((64, 64, 2), np.nan)
+        self._sizes = np.full((64, 64), np.nan)
+        self._origin = np.array([32, 32])
+        self._low, self._high = self._origin.copy(), self._origin.copy()
+        self.n = 0
+        self.put(self._origin, seed)
+
+    def put(self, cell: Int[ndarray, "2"], index: int) -> None:
+        """A point into a cell (row and column of the canvas)."""
+        at = cell[0], cell[1]
+        self._place[at], self._points[at], self._sizes[at] = index, self._all_points[index], self._all_sizes[index]
+        self._low, self._high = np.minimum(self._low, cell), np.maximum(self._high, cell)
+        self.n += 1
+
+    def lattice(self) -> LatticePoints:
+        """What the canvas holds, in cells from the seed."""
+        cells = np.argwhere(self._place >= 0)
+        return LatticePoints(self._place[tuple(cells.T)], cells - self._origin)
+
+    def expect(
+        self, basis: tuple[ndarray, ndarray] | None
+    ) -> tuple[Int[ndarray, "k 2"], Float[ndarray, "k 2"], Float[ndarray, "k"], Float[ndarray, "k"]]:
+        """Empty cells beside taken ones, where their points should be (infinite: unknown), and the steps and sizes there."""
+        if min(self._low) < self._APRON or max(self._high) >= len(self._place) - self._APRON:
+            self._widen()
+        (top, left), (bottom, right) = self._low - 2, self._high + 3
+        is_taken = self._place[top:bottom, left:right] >= 0
+        beside = is_taken[2:, 1:-1] | is_taken[:-2, 1:-1] | is_taken[1:-1, 2:] | is_taken[1:-1, :-2]
+        cells = np.argwhere(beside & ~is_taken[1:-1, 1:-1]) + self._low - 1
+        expected, weight, step, size = _from_each_side(self._points, self._sizes, cells, basis)
+        is_known = np.isfinite(expected[..., 0])
+        weight = np.where(is_known, weight, 0.0)
+        total, n_sides = weight.sum(axis=0), np.maximum(is_known.sum(axis=0), 1)
+        expected = (weight[..., None] * np.where(is_known[..., None], expected, 0.0)).sum(axis=0)
+        expected = np.where(total[:, None] > 0, expected / np.maximum(total, 1e-12)[:, None], np.inf)
+        step, size = (np.where(is_known, values, 0.0).sum(axis=0) / n_sides for values in (step, size))
+        return cells, expected, np.maximum(step, 1e-9), size
+
+    def _widen(self) -> None:
+        room = len(self._place) // 2
+        self._place = np.pad(self._place, room, constant_values=-1)
+        self._sizes = np.pad(self._sizes, room, constant_values=np.nan)
+        self._points = np.pad(self._points, ((room, room), (room, room), (0, 0)), constant_values=np.nan)
+        self._origin, self._low, self._high = self._origin + room, self._low + room, self._high + room
 
 
 def _from_each_side(

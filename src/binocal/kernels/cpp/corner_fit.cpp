@@ -34,7 +34,7 @@ double pool(const Doubles& fits, bool are_corners, DoublesOut pooled) {
     nb::gil_scoped_release unlocked;
     const auto* of_fits = reinterpret_cast<const CornerResult*>(fits.data());
     auto* out = reinterpret_cast<PooledCorner*>(pooled.data());
-    return are_corners ? pool_corners(of_fits, n, out) : pool_points(of_fits, n, out);
+    return are_corners ? pool_corners(of_fits, n, out) : pool_points(of_fits, n, out, kMostClippedOfSpot);
 }
 
 // Where the fields of the records start, bytes, and the records' sizes: what the NumPy types of binocal.kernels.corner_fit must be.

@@ -19,6 +19,7 @@ constexpr double kRounding = 1.0 / 12;         // grey levels^2
 constexpr double kMostLong = 16.0;             // variance of noise alike in neighbours over the pixels': upscaled images have 4 and more
 constexpr double kLeastLong = 0.4;             // JPEG at a noise of 1 grey level has 0.7
 constexpr double kMostCrossing = 0.3;          // of a disc's radius that the blurred crossing takes
+constexpr double kMostClippedOfSpot = 0.02;  // share of a spot's pixels
 constexpr double kOffLine = 0.3;               // of their distance: corners farther off each other's edge share none of its pixels
 
 struct PooledCorner {
@@ -229,7 +230,10 @@ inline void share_pixels(const CornerResult* fits, std::size_t n, PooledCorner* 
 }
 
 // Pools n fits of points that share no pixels, NaN where there is none. Returns the noise's variance, grey levels^2.
-inline double pool_points(const CornerResult* fits, std::size_t n, PooledCorner* out) {
+//
+// Points more of whose pixels than `most_clipped` are clipped keep their own slope of the light. Where light varies by half across the board
+// its relative slope is not linear, by a tenth, and a spot whose own slope is hardly known would follow the line.
+inline double pool_points(const CornerResult* fits, std::size_t n, PooledCorner* out, double most_clipped) {
     constexpr double nan = std::numeric_limits<double>::quiet_NaN();
     std::vector<double> odd;
     for (std::size_t i = 0; i < n; ++i)
@@ -254,6 +258,7 @@ inline double pool_points(const CornerResult* fits, std::size_t n, PooledCorner*
         corner.covariance[0] = fit.covariance[0] * scale, corner.covariance[3] = fit.covariance[4] * scale;
         corner.covariance[1] = corner.covariance[2] = fit.covariance[1] * scale;
     }
+    std::erase_if(sound, [&](std::size_t i) { return fits[i].clipped_share > most_clipped; });
     share_slope(fits, n, sound, noise2, coherence, out);
     for (std::size_t i = 0; i < n; ++i) {
         const double growth = growth_of(fits[i], out[i].misfit) / std::max(1.0, out[i].misfit / kNoiseSpread);
@@ -267,7 +272,7 @@ inline double pool_points(const CornerResult* fits, std::size_t n, PooledCorner*
 
 // Pools n fits into n corners, which share the pixels of the edges between them. Returns the noise's variance, grey levels^2.
 inline double pool_corners(const CornerResult* fits, std::size_t n, PooledCorner* out) {
-    const double noise2 = pool_points(fits, n, out);
+    const double noise2 = pool_points(fits, n, out, std::numeric_limits<double>::infinity());
     share_pixels(fits, n, out);
     for (std::size_t i = 0; i < n; ++i)
         if (std::isfinite(out[i].x)) add_sampling(fits[i], out[i]);
