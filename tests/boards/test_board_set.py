@@ -27,6 +27,7 @@ def test_one_board_has_its_own_points():
     ("specs", "told"),
     [
         (["chessboard:7x5:90mm", "chessboard:5x7:60mm"], "cannot be told apart in an image"),
+        (["chessboard:7x5:90mm:marked", "chessboard:6x5:90mm"], "a part of a marked chessboard looks like another"),
         (["charuco:6x5:50mm:37mm:DICT_4X4_50", "charuco:5x5:50mm:37mm:DICT_4X4_50:10"], "ids overlap"),
         (["aprilgrid:2x2:88mm:0.3", "aprilgrid:2x2:88mm:0.3:tag36h11:3"], "another first id"),
         (["chessboard:7x5:90mm", "chessboard:11x7"], "its length"),

@@ -36,7 +36,7 @@ class BoardSet:
             for other in self.boards[:i]:
                 if _look_alike(board, other):
                     raise ValueError(
-                        f"the boards {format_board(other)} and {format_board(board)} cannot be told apart in an image: {_remedy(board)}"
+                        f"the boards {format_board(other)} and {format_board(board)} cannot be told apart in an image: {_remedy(board, other)}"
                     )
 
     @staticmethod
@@ -86,6 +86,8 @@ def _look_alike(a: Board, b: Board) -> bool:
     if a.marker_dictionary:
         ids, other = (range(x.first_tag_id, x.first_tag_id + _n_markers(x)) for x in (a, b))
         return a.marker_dictionary == b.marker_dictionary and ids.start < other.stop and other.start < ids.stop
+    if a.is_marked or b.is_marked:
+        return True  # a part of a marked chessboard may have as many corners as the other
     return sorted((a.columns, a.rows)) == sorted((b.columns, b.rows))
 
 
@@ -93,7 +95,9 @@ def _n_markers(board: Board) -> int:
     return board.columns * board.rows if board.kind == "aprilgrid" else board.columns * board.rows // 2
 
 
-def _remedy(board: Board) -> str:
+def _remedy(board: Board, other: Board) -> str:
     if board.marker_dictionary:
         return "their markers' ids overlap; print one with another first id"
+    if board.is_marked or other.is_marked:
+        return "a part of a marked chessboard looks like another chessboard; show no other one beside it"
     return "boards of as many columns and rows need one --board; print one of another size"

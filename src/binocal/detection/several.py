@@ -42,7 +42,7 @@ def detect_boards_in_layouts(
     if min(grey.shape) < MIN_SIDE_PX:
         return tuple(found), tuple(proved)
     stretched, problem = stretch_8_bit(grey)
-    plain = [i for i, board in enumerate(boards) if board.kind == "chessboard"]
+    plain = [i for i, board in enumerate(boards) if board.kind == "chessboard" and not board.is_marked]
     if plain and not problem:
         of_plain = detect_chessboards(grey, stretched, [boards[i] for i in plain])
         for i, of_board in zip(plain, of_plain, strict=True):
