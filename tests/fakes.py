@@ -33,6 +33,7 @@ class Pair:
 class Pairing:
     pairs: tuple[Pair, ...]
     ignored: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,8 @@ from rigs import make_calibration, make_detections, make_poses, make_rig
 N_FAST, N_SLOW = 6, 200
 MOST_S, MOST_BYTES = 2.0, 500 << 20  # of work: a busy machine makes no command wrong
 BOARD = "chessboard:9x6:30mm"
-NO_IMAGES = ["calibrate", "--left", "none/l*.png", "--right", "none/r*.png", "--board", BOARD, "--output", "out.json"]
+NO_BOARD = ["calibrate", "--left", "none/l*.png", "--right", "none/r*.png", "--output", "out.json"]
+NO_IMAGES = [*NO_BOARD, "--board", BOARD]
 
 
 @dataclass(frozen=True)
@@ -130,8 +131,8 @@ KINDS = [
         True,
     ),
     Kind("truth-of.json", _truth, ("evaluate", "rig.json", "--truth", "FILE"), True, (0, 3)),
-    Kind("board.yaml", lambda path: path.write_text(f"board: {BOARD}\n"), (*NO_IMAGES, "--board", "FILE"), True),
-    Kind("kalibr.yaml", _kalibr, (*NO_IMAGES, "--board", "FILE"), True),
+    Kind("board.yaml", lambda path: path.write_text(f"board: {BOARD}\n"), (*NO_BOARD, "--board", "FILE"), True),
+    Kind("kalibr.yaml", _kalibr, (*NO_BOARD, "--board", "FILE"), True),
     Kind("opencv.yml", lambda path: opencv_yaml.write_opencv(path, _rig(), force=True), ON_RIG, True),
     Kind("opencv.json", _opencv_json, ON_RIG, True),
     Kind("opencv.xml", _opencv_xml, ON_RIG, True),

@@ -98,7 +98,7 @@ def test_kernels_images_and_rendering_use_that_number(monkeypatch):
     assert arrays.threads_for(10**9) == 3
     scene = sample_scene(table2_rig(), parse_board("chessboard:7x5:32mm"), 1, np.random.default_rng(0))
     assert len(list(rendering.render_pairs(scene, RenderOptions(), np.random.SeedSequence(0)))) == 2
-    pairs._detect_all([], scene.board, False, None, None, None, None)
+    pairs.look_at_all([], lambda path: path, None, None, None)
     assert asked == [3, 3]
 
 

@@ -52,5 +52,5 @@ def test_stated_deviations_hold_from_small_squares_and_compressed_images():
 
 def test_unknown_benchmarks_are_named():
     assert {"agent", "pipeline", "scale", "solver", "training"} <= set(BENCHMARKS)
-    with pytest.raises(ValueError, match="known: agent, boards, corners, coverage, detection, drift, faults"):
+    with pytest.raises(ValueError, match="known: agent, boards, circles, corners, coverage, detection, drift, faults"):
         run("nothing")

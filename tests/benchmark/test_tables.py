@@ -29,7 +29,7 @@ def test_precision_counts_errors_coverage_and_failures(monkeypatch):
 
 
 def test_unknown_benchmarks_are_named():
-    with pytest.raises(ValueError, match="unknown benchmark 'speed'; known: agent, boards, corners"):
+    with pytest.raises(ValueError, match="unknown benchmark 'speed'; known: agent, boards, circles, corners"):
         benchmark.run("speed")
 
 

@@ -306,7 +306,10 @@ def test_no_edges_cross_at_the_corners_of_a_square_of_the_other_colour():
 @pytest.mark.parametrize(
     ("spec", "problem"),
     [
-        ("chessboard:9x6:20mm:markd", "'markd' is no mark of a chessboard; write marked, discs="),
+        (
+            "chessboard:9x6:20mm:markd",
+            "'markd' is neither a length such as 30mm nor a mark of a chessboard: marked, discs=",
+        ),
         ("chessboard:9x6:20mm:discs=1,1,2", "needs a column and a row for each square"),
         ("chessboard:9x6:20mm:swapped=0,1", "square 0,1 cannot be marked: column 1 to 8 and row 1 to 5 can"),
         ("chessboard:9x6:20mm:swapped=1,6", "square 1,6 cannot be marked"),

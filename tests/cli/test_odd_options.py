@@ -52,7 +52,7 @@ def test_a_folder_that_takes_no_new_files_ends_in_a_line(tmp_path, monkeypatch):
         (["--output", "made/"], "--output: made/ names a folder; name a file, such as made/rig.json"),
         (["--evidence=made/"], "--evidence: made/ names a folder"),
         ([""], "an argument is empty"),
-        (["--board", "chessboard:9x6:nanmm"], "board 'chessboard:9x6:nanmm': 'nanmm' is not a length"),
+        (["--board", "chessboard:9x6:nanmm"], "board 'chessboard:9x6:nanmm': 'nanmm' is neither a length"),
     ],
 )
 def test_what_an_option_cannot_mean_is_named(tmp_path, monkeypatch, capsys, arguments, said):

@@ -62,7 +62,7 @@ MIXED_UP |= {
 @pytest.mark.parametrize("how", MIXED_UP)
 def test_images_that_fit_otherwise_are_refused_by_what_was_done(how, monkeypatch):
     found = FoundCorners(MIXED_UP[how], (), (), (), {})
-    monkeypatch.setattr("binocal.app.evaluate.find_corners", lambda *_: found)
+    monkeypatch.setattr("binocal.app.evaluate.find_corners", lambda *_, **__: found)
     with pytest.raises(DataError, match="do not fit the rig as given") as caught:
         evaluate_images(RIG, "l", "r", BOARD)
     (refused,) = findings_of(caught.value)

@@ -70,7 +70,9 @@ def parse_marks(fields: list[str], columns: int, rows: int) -> tuple[Squares, Sq
                 raise ValueError(f"{field.strip()[:60]!r} needs a column and a row for each square; write {_FORM}")
             squares = tuple(zip(numbers[::2], numbers[1::2], strict=True))
         else:
-            raise ValueError(f"{field.strip()[:60]!r} is no mark of a chessboard; write {_FORM}")
+            raise ValueError(
+                f"{field.strip()[:60]!r} is neither a length such as 30mm nor a mark of a chessboard: {_FORM}"
+            )
         if name in marks:
             raise ValueError(f"{name} are given twice")
         marks[name] = squares

@@ -9,8 +9,6 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import typer
-
 from binocal.input_file import exists
 
 LONGEST_QUOTE = 60
@@ -39,6 +37,8 @@ def check_texts(verb: Any, arguments: Sequence[str]) -> None:
     Raises:
         typer.BadParameter: The option is named.
     """
+    import typer  # late: while it loads, --json is known already
+
     options = {name: option for option in getattr(verb, "params", ()) for name in option.opts}
     for before, text in itertools.pairwise(["", *arguments]):
         name, equals, value = text.partition("=")
