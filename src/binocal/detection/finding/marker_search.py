@@ -31,6 +31,7 @@ from binocal.detection.finding.marker_codes import (
 )
 from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import MarkerGrid
+from binocal.detection.finding.missing_corners import grow_missing
 from binocal.detection.finding.search import LevelSetting, scaled_saddles
 from binocal.detection.finding.xcorners import SaddleImage, find_saddles
 from binocal.kernels import images
@@ -55,6 +56,7 @@ FIELDS_RAD = tuple(np.radians([0, 100, 140, 180]))
 LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to none
 MOST_COMPARED = 64  # faces by which lens and blur are chosen
 ENOUGH_SHARE = 0.9  # of the corners that should be seen
+MOST_LESS_READ = 8  # faces, than of the likeliest way of printing, for a way to be looked into further
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
 LEAST_CELL_PX = 0.85  # of a marker's code: below it chance reads as well
 FEW_FACES = (
@@ -216,7 +218,22 @@ def search_markers(
             ):
                 break
             n_before = n_known
+    _complete(image, sightings, first_id)
     return MarkerSearch(sightings, is_mirrored and not sightings, n_markers)
+
+
+def _complete(image: UInt8[ndarray, "h w"], sightings: list[MarkerSighting], first_id: int) -> None:
+    """Looks for corners that the likely ways of printing still miss."""
+    for sighting in [each for each in sightings if each.n_read > sightings[0].n_read - MOST_LESS_READ]:
+        way = sighting.reading
+        known = grow_missing(image, sighting.grid, sighting.known_px, way.lens, is_inverted=way.is_inverted)
+        if (
+            known is not sighting.known_px
+            and np.isfinite(known[..., 0]).sum() > np.isfinite(sighting.known_px[..., 0]).sum()
+        ):
+            sighting.known_px = known
+            _verify(image, sighting, first_id)
+    sightings.sort(key=lambda each: -each.n_read)
 
 
 def _find_faces(
