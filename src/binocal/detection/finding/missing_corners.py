@@ -10,18 +10,21 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.finding.crossings import INSIDE_PX, expected_at, grow_known
+from binocal.detection.finding.crossings import expected_at, grow_known
 from binocal.detection.finding.marker_grid import MarkerGrid
-from binocal.detection.finding.xcorners import PEAK_REACH_PER_RADIUS, SaddleImage
+from binocal.detection.finding.xcorners import PEAK_REACH_PER_RADIUS
 from binocal.kernels import images
 from binocal.kernels.marker_grids import FieldLens
-from binocal.shapes import Bool, Float, UInt8
+from binocal.shapes import Bool, Float, Int, UInt8
 
 BLUR_PX, RADIUS_PX = 1.0, 3.2  # as the full image is searched
 LEAST_RESPONSE = 0.1  # of a saddle of the least contrast of an X-corner; the lattice bears it out
-REACH_OF_KNOWN = 3  # lines about a missing corner: the known ones there are in its part, for they say where it is
+REACH_OF_KNOWN = 2  # lines about a missing corner: the known ones there are in its part, for they say where it is
 RIM_PX = 10  # about a part: what the filter and the sectors read
+OFF_PX, OFF_STEPS = 8.0, 0.3  # about where missing corners should be: there the saddles are looked for
+LEAST_INSIDE_PX = 4.5  # nearer to the image's border no corner is measured
 MOST_SADDLES = 1200
+PEAK_MARGIN_PX = 2
 
 
 def grow_missing(
@@ -37,7 +40,7 @@ def grow_missing(
     expected = expected_at(grid, known_px, lens)
     with np.errstate(invalid="ignore"):
         size_wh = np.array(image.shape[::-1])
-        is_missing = ~is_known & ((expected > 0.5 * INSIDE_PX) & (expected < size_wh - 1 - 0.5 * INSIDE_PX)).all(
+        is_missing = ~is_known & ((expected > LEAST_INSIDE_PX) & (expected < size_wh - 1 - LEAST_INSIDE_PX)).all(
             axis=-1
         )
     if not is_missing.any():
@@ -62,20 +65,34 @@ def _grow_part(
     reach = 2 * REACH_OF_KNOWN + 1
     is_near = cv2.dilate(is_missing.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
     is_told = is_near & np.isfinite(known_px[..., 0])
-    places = np.r_[expected_px[is_missing], known_px[is_told]]
-    low = np.maximum(np.floor(places.min(axis=0)).astype(int) - RIM_PX, 0)
-    high = np.minimum(np.ceil(places.max(axis=0)).astype(int) + RIM_PX + 1, image.shape[::-1])
-    (x0, y0), (x1, y1) = low, high
-    if min(x1 - x0, y1 - y0) < 2 * RIM_PX:
+    wanted, told = expected_px[is_missing], known_px[is_told]
+    low, high = _box(np.r_[wanted, told], RIM_PX, image.shape)
+    if (high - low < 2 * RIM_PX).any() or not is_told.any():
         return known_px
-    smooth = cv2.GaussianBlur(image[y0:y1, x0:x1].astype(np.float32), (0, 0), BLUR_PX)
-    saddles = SaddleImage.of(smooth, RADIUS_PX)
+    smooth = cv2.GaussianBlur(image[low[1] : high[1], low[0] : high[0]].astype(np.float32), (0, 0), BLUR_PX)
+    step = np.sqrt(((wanted[:, None] - told) ** 2).sum(axis=-1)).min(axis=1).max()
+    first, last = _box(wanted - low, max(OFF_PX, OFF_STEPS * step) + PEAK_MARGIN_PX, smooth.shape)
+    part = np.ascontiguousarray(smooth[first[1] : last[1], first[0] : last[0]])
+    if min(part.shape) < 3:
+        return known_px
     peaks = images.find_peaks(
-        saddles.response, max(1, round(PEAK_REACH_PER_RADIUS * RADIUS_PX)), 2, LEAST_RESPONSE, MOST_SADDLES
+        images.saddle_response(part),
+        max(1, round(PEAK_REACH_PER_RADIUS * RADIUS_PX)),
+        PEAK_MARGIN_PX,
+        LEAST_RESPONSE,
+        MOST_SADDLES,
     )
     # What lies beside the part has no grey values in it.
-    told = np.where(is_told[..., None], known_px - low, np.nan)
-    part_lens = FieldLens(lens.cx - x0, lens.cy - y0, lens.f_px)
-    grown = grow_known(grid, told, part_lens, is_inverted, (saddles, 1.0, peaks))
-    is_new = np.isfinite(grown[..., 0]) & ~is_told & is_near & ~np.isfinite(known_px[..., 0])
+    near = np.where(is_told[..., None], known_px - low, np.nan)
+    part_lens = FieldLens(lens.cx - low[0], lens.cy - low[1], lens.f_px)
+    grown = grow_known(grid, near, part_lens, is_inverted, (smooth, 1.0, peaks + first))
+    is_new = np.isfinite(grown[..., 0]) & is_near & ~np.isfinite(known_px[..., 0])
     return np.where(is_new[..., None], grown + low, known_px)
+
+
+def _box(
+    places: Float[ndarray, "n 2"], rim_px: float, shape: tuple[int, ...]
+) -> tuple[Int[ndarray, "2"], Int[ndarray, "2"]]:
+    """First and last (exclusive) column and row of the pixels about some places, in an image of ``shape``."""
+    low = np.maximum(np.floor(places.min(axis=0) - rim_px), 0).astype(int)
+    return low, np.minimum(np.ceil(places.max(axis=0) + rim_px).astype(int) + 1, shape[::-1])
