@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from binocal.boards import parse_board
+from binocal.boards import Board, parse_board
 from binocal.cameras import Camera, StereoRig
+from binocal.datasets.folder import ImagePair
+from binocal.detection.opencv_finder import detect_with_opencv
+from binocal.errors import DetectionError
+from binocal.evidence import Detections
 from binocal.experiments.bounds import bound_of_corners
 from binocal.experiments.case import Made, Sample
 from binocal.experiments.rendered import render_files
@@ -50,13 +55,22 @@ class RenderedBoards:
         if self.bow_m or self.print_error_m:
             shape = draw_printed_shape(board, rng, bow_m=self.bow_m, error_m=self.print_error_m)
             looks, true_m = replace(LOOKS, shape=shape), shape.points_m(board)
-        corners = render_files(scene, looks, np.random.SeedSequence([seed, 4])).corners()
+        files = render_files(scene, looks, np.random.SeedSequence([seed, 4]))
+        corners = files.corners()
         place = np.array([int(name) for name in corners.names])
         first, second = (np.flatnonzero(part) for part in (place < self.n_pairs // 2, place >= self.n_pairs // 2))
         evidence = corners.select(first)
         bound = bound_of_corners(rig, evidence, scene.T_left_board[place[first]])
         held_out = replace(corners.select(second), object_points_m=true_m)
-        return Sample(evidence, rig, board, bound, {"model": MODEL}, held_out, nominal_rig())
+        theirs = _by_opencv(files.pairs[: self.n_pairs // 2], board)
+        return Sample(evidence, rig, board, bound, {"model": MODEL}, held_out, nominal_rig(), opencv_corners=theirs)
+
+
+def _by_opencv(pairs: Sequence[ImagePair], board: Board) -> Detections | None:
+    try:
+        return detect_with_opencv(pairs, board)
+    except DetectionError:
+        return None
 
 
 def board_errors(made: Made, sample: Sample) -> list[Measured]:

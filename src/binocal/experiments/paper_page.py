@@ -161,7 +161,8 @@ def paper_page(options: ExperimentOptions, rows: Sequence[Row]) -> Page:
     """The page of these rows."""
     text = (
         f"{options.n_images} rendered images of each set over {options.n_seeds} seeds from {options.seed}: {options.n_pairs} pairs each, the "
-        "first half to calibrate from, the second to test on. Every method has the same corners. Medians over the seeds, least and "
+        "first half to calibrate from, the second to test on. Every method has the same corners, but `opencv, its own corners`: cv2's finder "
+        "and `cornerSubPix`. Medians over the seeds, least and "
         "greatest in brackets; what was refused is counted.",
         "What depends on the machine and the moment, table 4, is in times.md and results.json; this page is the same whenever the command is "
         "run with the same seed.",
