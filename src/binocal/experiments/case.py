@@ -25,7 +25,8 @@ OPENCV_THROUGHOUT = "opencv, its own corners"
 class Sample:
     """Evidence with its truth. ``choices`` go to :func:`binocal.calibrate`; ``truth`` is what a case measures against.
 
-    ``bound`` is the Cramér-Rao bound of the true rig's parameters, ``held_out`` are views that no method sees, ``prior`` is what the
+    ``bound`` is the Cramér-Rao bound of the true rig's parameters, of a board that is not as drawn by what is known of its print;
+    ``known_board_bound`` is then that of the same board, were it known exactly. ``held_out`` are views that no method sees, ``prior`` is what the
     rig's data sheet says. ``training`` are views that an agent may be trained on before. ``opencv_corners`` are those of the same images
     by cv2's finder, where it found any.
     """
@@ -39,6 +40,7 @@ class Sample:
     prior: StereoRig | None = None
     training: Detections | None = None
     opencv_corners: Detections | None = None
+    known_board_bound: Covariance | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
