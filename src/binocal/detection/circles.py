@@ -161,7 +161,7 @@ def _is_all_in_view(found: FoundBoard, board: Board, radii_px: Float[ndarray, "m
     rim = float(radii_px.max())  # those that touch the border are not seen
     with np.errstate(invalid="ignore"):
         is_in_view = ((expected > rim) & (expected < np.array(size_wh) - 1 - rim)).all(axis=1)
-    return not is_in_view[~found.is_seen].any()
+    return not (is_in_view & ~found.is_seen).any()
 
 
 def _relative_sizes(board: Board) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:

@@ -17,6 +17,7 @@ N_OBSERVED: int
 SPOT_SIZE: int
 RECORD_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 ELLIPSE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
+SQUARE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 
 # residuals
 @final
@@ -272,6 +273,7 @@ def fit_corners(
 ) -> None: ...
 def pool_corners(fits: Floats, are_corners: bool, pooled: Floats, /) -> float: ...
 def fit_ellipses(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
+def fit_squares(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
 def fit_image_lens(
     board_xy: Floats,
     points: Floats,

@@ -20,7 +20,7 @@ LEAST_FULL = 0.25  # of its ellipse, that a ring fills: its hole is then 0.77 as
 # Sides of the local thresholds, of the image's shorter side: a spot must be narrower.
 USUAL_BLOCKS, SMALL_BLOCKS, LARGE_BLOCKS = (0.12,), (0.04, 0.09), (0.2, 0.45)
 ALL_BLOCKS = (*SMALL_BLOCKS, *LARGE_BLOCKS)
-_BELOW_DN = 6  # the mean of its block: what counts as a spot
+BELOW_DN = 6  # the mean of its block: what counts as a spot
 _ANGLES = np.arange(8) * np.pi / 4
 
 
@@ -78,7 +78,7 @@ def find_blobs(
 def _find_with_block(image: UInt8[ndarray, "h w"], block: int) -> tuple[Float[ndarray, "k 5"], Float[ndarray, "k"]]:
     """Components below the mean of their block that are ellipses: centre, half-axes, angle; and their misfits."""
     around = cv2.blur(image, (block, block))
-    found = find_components(image, around, _BELOW_DN, MIN_AREA_PX2, MAX_SHARE * min(image.shape))
+    found = find_components(image, around, BELOW_DN, MIN_AREA_PX2, MAX_SHARE * min(image.shape))
     area, (width, height) = found.areas_px, found.sizes_wh.T
     xx, yy, xy = (found.moments_px2 + [1 / 12, 1 / 12, 0]).T  # a pixel's own
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9))
