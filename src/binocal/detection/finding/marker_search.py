@@ -186,18 +186,19 @@ def search_markers(
     n_markers, is_mirrored, n_before = 0, False, 0
     for saddles, scale in scaled_saddles(image, marker_level_settings):
         corners, peaks = find_saddles(saddles, most=most)
-        readings, mirrored = None, False
-        for is_oblique in (False, True):
-            if is_oblique and (sightings or mirrored):
-                break
+        faces = _find_faces(saddles, corners, scale, least_side_px)
+        readings = None
+        for is_oblique in () if sightings else (False, True):
             # Where all faces lie between codes' corners, the nearest, those of the board may be farther away.
-            faces = _find_faces(saddles, corners, scale, least_side_px, is_oblique=is_oblique)
-            if not sightings:
-                readings, reading, mirrored = _read_first(image, faces, grids, kinds, first_id, n_ids)
-                is_mirrored |= mirrored
-                if reading is not None:
-                    n_markers = max(n_markers, int(readings.is_sure.sum()))
-                    sightings = _vote(readings, reading, grids, least_sure)
+            if is_oblique:
+                faces = _find_faces(saddles, corners, scale, least_side_px, is_oblique=True)
+            readings, reading, mirrored = _read_first(image, faces, grids, kinds, first_id, n_ids)
+            is_mirrored |= mirrored
+            if reading is not None:
+                n_markers = max(n_markers, int(readings.is_sure.sum()))
+                sightings = _vote(readings, reading, grids, least_sure)
+            if sightings or mirrored:
+                break
         for sighting in sightings:
             if readings is None:  # all sightings are read in one way
                 quads = faces.of(sighting.grid.is_dark == sighting.reading.is_inverted)
@@ -241,7 +242,7 @@ def _complete(image: UInt8[ndarray, "h w"], sightings: list[MarkerSighting], fir
 
 
 def _find_faces(
-    saddles: SaddleImage, corners: XCorners, scale: float, least_side_px: float, *, is_oblique: bool
+    saddles: SaddleImage, corners: XCorners, scale: float, least_side_px: float, *, is_oblique: bool = False
 ) -> _Faces:
     """The faces between a level's linked X-corners, in the image's pixels; ``is_oblique`` looks farther for neighbours."""
     links = images.link_corners(
