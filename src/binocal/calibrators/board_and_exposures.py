@@ -107,8 +107,7 @@ def solve_real_views(
     )
     solve = replace(_measured(problem, minimum), boards=boards)
     if points_sigma_m is not None:
-        information = stated_information(nominal.object_points, points_sigma_m)
-        solve = _settled_or(solve, _minimized(replace(problem, shape_information=information), solve, FINE, None))
+        solve = with_points_freed(solve, points_sigma_m)
     elif board_shape != "flat" and _can_free(problem, solve, board_shape):
         solve = _settled_or(solve, _with_board_freed(solve, board_shape))
     solve = _with_pair_compared(solve)
@@ -116,6 +115,12 @@ def solve_real_views(
         freed = _settled_or(solve, _with_exposures_freed(solve, board_shape))
         solve = solve if freed is solve else _compared_after(freed)
     return solve
+
+
+def with_points_freed(solve: RealViewsSolve, sigma_m: Float[ndarray, "n"]) -> RealViewsSolve:
+    """The solve with its points free within standard deviations of their coordinates, or as it was where that has no minimum."""
+    information = stated_information(solve.problem.nominal.object_points, sigma_m)
+    return _settled_or(solve, _minimized(replace(solve.problem, shape_information=information), solve, FINE, None))
 
 
 def _settled_or(before: RealViewsSolve, freed: RealViewsSolve) -> RealViewsSolve:

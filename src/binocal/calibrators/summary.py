@@ -13,10 +13,12 @@ from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.board_and_exposures import RealViewsSolve
+from binocal.calibrators.given_points import points_as_given
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3
+from binocal.initialization.solid_targets import is_solid
 from binocal.result import (
     BoardShape,
     Covariance,
@@ -198,6 +200,8 @@ def _of_points(covariance: Float[ndarray, "m m"], points: Int[ndarray, "k"]) -> 
 
 def _points_findings(solve: RealViewsSolve, shape: BoardShape | None, detections: Detections) -> tuple[Finding, ...]:
     """What there is to say of the points that moved: against what was stated of them, else as those of a flat board."""
+    if detections.object_sigma_m is None and shape is None and is_solid(detections.object_points_m):
+        return points_as_given(solve, detections)
     if detections.object_sigma_m is None or shape is None:
         return _shape_findings(solve, shape, detections.is_metric)
     moved = np.linalg.norm(shape.points_m - detections.object_points_m, axis=1) / np.sqrt(3)
