@@ -193,7 +193,7 @@ def _measure(grey: ndarray, board: Board, grid: MarkerGrid, sighting: _Sighting)
     spacing, height = steps_at(grid, sighting.known_px, sighting.lens, board.n_points)
     reach = np.where(_are_at_discs(board), REACH_AT_DISC, 1.0) * height
     places = BoardPlaces(board.object_points_m[:, :2], board.pitch_m)
-    points, covariance, cross = measure_corners(grey, rough, places, reach)
+    points, covariance, cross = measure_corners(grey, rough, places, reach, may_be_cut=True)
     points = points.copy()
     sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
     points[(np.linalg.norm(points - rough, axis=1) > MAX_MOVE * spacing) | (sigma > MOST_SIGMA_PX)] = np.nan
