@@ -23,6 +23,7 @@ KINDS = [
     "aprilgrid:4x3:40mm:0.3",
     "circles:10x8:20mm",
     "acircles:4x11:20mm",
+    "squares:5x4:30mm:20mm",
 ]
 
 
@@ -63,6 +64,12 @@ def test_the_pitch_is_the_specs_where_it_fits_else_the_largest():
 def test_without_a_diagonal_the_scale_is_unknown():
     shown = fit_board(parse_board("charuco:5x4:1:0.75:DICT_4X4_50"), Screen((640, 480), None))
     assert not parse_board(shown.spec).is_metric and shown.template.startswith(f"charuco:5x4:{{{shown.pitch_px}}}:{{")
+
+
+def test_a_square_grids_gap_is_whole_pixels_too():
+    shown = fit_board(parse_board("squares:5x4:30mm:20mm"), Screen((640, 480), None))
+    side, gap = shown.pitch_px, round(shown.board.gap_m / shown.board.pitch_m * shown.pitch_px)
+    assert shown.template == f"squares:5x4:{{{side}}}:{{{gap}}}" and abs(gap / side - 2 / 3) < 1 / side
 
 
 def test_a_screens_board_keeps_its_marks():

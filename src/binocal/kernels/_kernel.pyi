@@ -16,6 +16,7 @@ Plane: TypeAlias = ndarray[tuple[int, ...], dtype[float32]]
 N_OBSERVED: int
 RECORD_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 ELLIPSE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
+SQUARE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 
 # residuals
 @final
@@ -254,6 +255,7 @@ def fit_corners(
 ) -> None: ...
 def pool_corners(fits: Floats, are_corners: bool, pooled: Floats, /) -> float: ...
 def fit_ellipses(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
+def fit_squares(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
 def fit_image_lens(
     board_xy: Floats,
     points: Floats,

@@ -22,7 +22,7 @@ NOTE_PX = 40  # kept free below the board, for what is written there
 PX_M = 1e-3  # a pixel in the drawing, whose unit is the millimetre
 APRIL_DATA_CELLS = 6  # of a tag's side, besides its border
 MOST_DIAGONAL_M = 5.0
-LEAST_PITCH_PX = {"chessboard": 4, "charuco": 8, "aprilgrid": 10, "circles": 8, "acircles": 6}
+LEAST_PITCH_PX = {"chessboard": 4, "charuco": 8, "aprilgrid": 10, "circles": 8, "acircles": 6, "squares": 6}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,19 +104,24 @@ def _in_pixels(board: Board, pitch_px: int, style: PrintStyle) -> Board | None:
         side = pitch_px // n_cells * n_cells
         gap = max(1, round(board.tag_gap_ratio * side))
         return replace(board, pitch_m=PX_M * side, is_metric=True, tag_gap_ratio=gap / side)
+    if board.kind == "squares":
+        gap = max(1, round(board.gap_m / board.pitch_m * pitch_px))
+        return replace(board, pitch_m=PX_M * pitch_px, is_metric=True, gap_m=PX_M * gap)
     return replace(board, pitch_m=PX_M * pitch_px, is_metric=True)
 
 
 def _named(board: Board, screen: Screen, size_px: tuple[int, int]) -> ScreenBoard:
     pitch_px = round(board.pitch_m / PX_M)
-    marker_px = round(board.marker_m / PX_M)
+    second = {"charuco": "marker_m", "squares": "gap_m"}.get(board.kind, "")  # the other length of its SPEC
+    second_px = round(getattr(board, second) / PX_M) if second else 0
     if screen.pixel_m is None:
-        named = replace(board, pitch_m=1.0, is_metric=False, marker_m=marker_px / pitch_px)
+        named = replace(board, pitch_m=1.0, is_metric=False, **({second: second_px / pitch_px} if second else {}))
     else:
-        pitch_m, marker_m = (1e-3 * float(f"{1e3 * screen.pixel_m * px:.6g}") for px in (pitch_px, marker_px))
-        named = replace(board, pitch_m=pitch_m, marker_m=marker_m)
-    fields = format_board(replace(board, pitch_m=1.0, is_metric=False, marker_m=0.5 * bool(marker_px))).split(":")
-    lengths = [f"{{{pitch_px}}}", *([f"{{{marker_px}}}"] if marker_px else [])]
+        pitch_m, second_m = (1e-3 * float(f"{1e3 * screen.pixel_m * px:.6g}") for px in (pitch_px, second_px))
+        named = replace(board, pitch_m=pitch_m, **({second: second_m} if second else {}))
+    unit = replace(board, pitch_m=1.0, is_metric=False, **({second: 0.5} if second else {}))
+    fields = format_board(unit).split(":")
+    lengths = [f"{{{pitch_px}}}", *([f"{{{second_px}}}"] if second else [])]
     fields[2:] = [*lengths, *(fields[2:] if board.is_marked else fields[2 + len(lengths) :])]
     return ScreenBoard(board, pitch_px, size_px, format_board(named), ":".join(fields))
 

@@ -77,14 +77,9 @@ def find_blobs(
 
 def _find_with_block(image: UInt8[ndarray, "h w"], block: int) -> tuple[Float[ndarray, "k 5"], Float[ndarray, "k"]]:
     """Components below the mean of their block that are ellipses: centre, half-axes, angle; and their misfits."""
-    binary = cv2.compare(cv2.convertScaleAbs(image, beta=_BELOW_DN), cv2.blur(image, (block, block)), cv2.CMP_LT)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(binary, connectivity=4, ltype=cv2.CV_32S)
-    left, top, width, height, area = stats.T
-    most, (rows, columns) = MAX_SHARE * min(image.shape), image.shape
-    is_candidate = (area >= MIN_AREA_PX2) & (np.maximum(width, height) < most) & (area < 0.95 * width * height + 4)
-    is_candidate &= (left > 0) & (top > 0) & (left + width < columns) & (top + height < rows)
-    is_candidate[0] = False  # what is not below
-    index = np.flatnonzero(is_candidate)
+    labels, stats, index = find_components(image, block)
+    width, height, area = stats[:, 2:].T
+    index = index[area[index] < 0.95 * width[index] * height[index] + 4]
     middle, spread = _moments(labels, index, len(stats))
     xx, yy, xy = (spread + [1 / 12, 1 / 12, 0]).T  # a pixel's own
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9))
@@ -103,6 +98,23 @@ def _find_with_block(image: UInt8[ndarray, "h w"], block: int) -> tuple[Float[nd
     is_good = (misfit < allowance) & (full > LEAST_FULL) & (minor > LEAST_MINOR_PX) & (major < MAX_ASPECT * minor)
     angle = 0.5 * np.arctan2(2 * xy, xx - yy)
     return np.column_stack([middle, major, minor, angle])[is_good], misfit[is_good]
+
+
+def find_components(
+    image: UInt8[ndarray, "h w"], block: int
+) -> tuple[Int[ndarray, "h w"], Int[ndarray, "k 5"], Int[ndarray, "m"]]:
+    """Connected pixels below the mean of their block: labels, OpenCV's statistics of each, and which may be spots.
+
+    Those have an area, are not too large, and touch no border of the image.
+    """
+    binary = cv2.compare(cv2.convertScaleAbs(image, beta=_BELOW_DN), cv2.blur(image, (block, block)), cv2.CMP_LT)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(binary, connectivity=4, ltype=cv2.CV_32S)
+    left, top, width, height, area = stats.T
+    most, (rows, columns) = MAX_SHARE * min(image.shape), image.shape
+    is_candidate = (area >= MIN_AREA_PX2) & (np.maximum(width, height) < most)
+    is_candidate &= (left > 0) & (top > 0) & (left + width < columns) & (top + height < rows)
+    is_candidate[0] = False  # what is not below
+    return labels, stats, np.flatnonzero(is_candidate)
 
 
 def _moments(

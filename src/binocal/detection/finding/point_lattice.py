@@ -34,11 +34,18 @@ class LatticePoints:
 
 
 def grow_point_lattices(
-    points: Float[ndarray, "n 2"], radii: Float[ndarray, "n"], size_wh: tuple[int, int], *, least: int, enough: int
+    points: Float[ndarray, "n 2"],
+    radii: Float[ndarray, "n"],
+    size_wh: tuple[int, int],
+    *,
+    least: int,
+    enough: int,
+    n_for_lens: int = N_FOR_LENS,
 ) -> list[LatticePoints]:
     """Lattices of at least ``least`` points, the largest first; each point is in one at most.
 
-    The first one of ``enough`` points is taken, else the largest of those that a few seeds and their neighbours suggest.
+    From ``n_for_lens`` points on a lattice is completed by the image's lens. The first one of ``enough`` points is taken,
+    else the largest of those that a few seeds and their neighbours suggest.
     """
     n = len(points)
     if n < max(least, 4):
@@ -61,7 +68,7 @@ def grow_point_lattices(
             break
         for seed, basis in ((s, b) for s in seeds for b in _seed_bases(ways[s], unlike[s], is_alike[s])):
             lattice = _grow_from(points, radii, seed, basis, free)
-            if least <= len(lattice.members) < enough:
+            if max(least, n_for_lens) <= len(lattice.members) < enough:
                 lattice = complete_by_lens(lattice, points, free, size_wh)
             if largest is None or len(lattice.members) > len(largest.members):
                 largest = lattice
@@ -147,7 +154,7 @@ def complete_by_lens(
     Where a board is so near that steps grow by a third from one to the next, local steps mislead and the lens does not.
     """
     members, cells = lattice.members, lattice.cells
-    while len(members) >= N_FOR_LENS:
+    while True:
         is_left = free.copy()
         is_left[members] = False
         index = np.flatnonzero(is_left)

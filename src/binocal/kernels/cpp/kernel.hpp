@@ -81,6 +81,7 @@ void register_observe(nb::module_& module);
 void register_template_match(nb::module_& module);
 void register_rectified_map(nb::module_& module);
 void register_saddles(nb::module_& module);
+void register_square_fit(nb::module_& module);
 void register_xcorners(nb::module_& module);
 
 }  // namespace binocal

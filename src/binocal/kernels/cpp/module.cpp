@@ -19,5 +19,6 @@ NB_MODULE(_kernel, module) {
     binocal::register_template_match(module);
     binocal::register_rectified_map(module);
     binocal::register_saddles(module);
+    binocal::register_square_fit(module);
     binocal::register_xcorners(module);
 }
