@@ -67,9 +67,9 @@ def measure_corners(
         is_plain &= ~_are_burnt_out(grey, again, reach_px, per_reach)
         # Its least window reaches into the markers of squares of 10 px: off by 0.2 to 0.9 px there, with a sigma of 0.08.
         is_plain &= ~(per_reach * reach_px < LEAST_HALF_WINDOW_PX)
-    if strip_px is not None or may_be_cut:
-        if is_plain.sum() < LEAST_UNFITTED_SHARE * (is_plain.sum() + np.isfinite(fitted.misfit).sum()):
-            is_plain[:] = False
+    n_fitted = int(np.isfinite(fitted.misfit).sum())
+    if (strip_px is not None or may_be_cut) and is_plain.sum() < LEAST_UNFITTED_SHARE * (is_plain.sum() + n_fitted):
+        is_plain[:] = False
     if is_plain.any():
         points[is_plain] = again[is_plain]
         covariance[is_plain] = corner_covariance(grey, again, reach_px, per_spacing=per_reach)[is_plain]
