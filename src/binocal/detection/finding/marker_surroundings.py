@@ -126,7 +126,7 @@ def _prove_spec(board: Board, grid: MarkerGrid, cells: Int[ndarray, "m 2"]) -> s
     """The SPEC of the board whose markers were read at these places; "" where they leave it open."""
     low, high = cells.min(axis=0), cells.max(axis=0) + 1
     columns, rows = high - low
-    if 0 <= low[0] and high[0] <= board.columns:
+    if low[0] >= 0 and high[0] <= board.columns:
         low[0], columns = 0, board.columns
     if board.kind == "charuco":  # whose outer squares bear a marker in every other row only
         low[0], columns = (_parity(grid) - low[1]) % 2, board.columns
