@@ -60,7 +60,7 @@ LEAST_CELL_PX = 0.85  # of a marker's code: below it chance reads as well
 FEW_FACES = (
     4  # with fewer, corners farther away are tried as neighbours: seen very obliquely the nearest lie in one row
 )
-LEAST_KEPT = 0.7  # of the corners that markers predict; with fewer a note says so
+LEAST_KEPT = 0.85  # of the corners that markers predict; with fewer a note says so
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
 
 
