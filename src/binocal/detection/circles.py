@@ -10,13 +10,13 @@ from binocal.boards.board import HOLE, LARGE
 from binocal.detection.finding.blobs import LARGE_BLOCKS, SMALL_BLOCKS, USUAL_BLOCKS, Blobs, find_blobs
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
 from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
+from binocal.detection.finding.equal_circles import GridSpots, are_equal_circles
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane, expected_points
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.circle_shift import measure_circle_shift
 from binocal.detection.measuring.ellipses import measure_spots
-from binocal.detection.measuring.equal_circles import GridSpots, are_equal_circles
 from binocal.kernels.image_lens import LensFitOptions
 from binocal.shapes import Float, Int, UInt8
 

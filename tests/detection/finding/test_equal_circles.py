@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from binocal.detection.finding.blobs import Blobs
+from binocal.detection.finding.equal_circles import GridSpots, are_equal_circles
 from binocal.detection.measuring.ellipses import MeasuredSpots
-from binocal.detection.measuring.equal_circles import GridSpots, are_equal_circles
 from binocal.kernels.image_lens import LensFitOptions
 
 SIZE_WH = 640, 480
