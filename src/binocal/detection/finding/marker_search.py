@@ -60,7 +60,7 @@ ENOUGH_SHARE = 0.9  # of the corners that should be seen
 MOST_LESS_READ = 4  # faces, than of the likeliest way of printing, for a way to be looked into further
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
 LEAST_CELL_PX = 0.85  # of a marker's code: below it chance reads as well
-LEAST_KEPT = 0.7  # of the corners that markers predict; with fewer a note says so
+LEAST_KEPT = 0.85  # of the corners that markers predict; with fewer a note says so
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
 
 
