@@ -45,6 +45,10 @@ ALL_ALIKE = LoopOptions(kernel="squared")
 ARRIVED = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 """Of ``stereoCalibrate``: its default (30, 1e-6) stops before the minimum of its own cost on some sets of few views."""
 LONGEST_STEP_SIGMA = 0.5  # from where cv2 ended to the minimum of its own cost: more, and it had not arrived
+NOT_THERE = {
+    "solver": "cv2.stereoCalibrate",
+    "else_use": "cv2 stops after a fixed number of steps; --calibrator lm goes on to the minimum",
+}
 
 
 def calibrate_opencv(evidence: Detections, request: CalibrationRequest) -> StereoCalibration:
@@ -89,7 +93,7 @@ def _calibrate(detections: Detections, request: CalibrationRequest, *, is_free: 
     longest = LONGEST_STEP_SIGMA * max(camera.noise_px for camera in cameras)
     is_converged = bool(np.sqrt(score @ np.linalg.solve(information, score)) < longest)
     solve = StagedSolve((cameras[0], cameras[1]), T_right_left, second, T_left_board, 0, is_converged, provenance)
-    return summarize_stages(diagnosed, solve)
+    return summarize_stages(diagnosed, solve, **NOT_THERE)
 
 
 def _in_both(diagnosed: DiagnosedViews) -> Bool[ndarray, "views n"]:
@@ -269,4 +273,4 @@ def _of_joint_minimum(
         findings=diagnosed.findings,
         n_iterations=0,
     )
-    return acceptance.apply_rules(calibration, is_converged=bool(has_arrived))
+    return acceptance.apply_rules(calibration, is_converged=bool(has_arrived), **NOT_THERE)
