@@ -681,6 +681,12 @@ _KINDS = (
         "state larger ones (object_sigma_m), or see to the order and the places of the points",
     ),
     FindingKind(
+        "points-not-as-given", _W, "The target's points are not where they were given",
+        "the target's points are not where they were given: corners fit to {free_px:.2f} px where the points may move and to "
+        "{given_px:.2f} px where they are held; they move by {rms:.3g} {unit} (RMS), point {worst} by {worst_off:.3g}; {remedy}.",
+        "measure the points again, or state how well they are known (object_sigma_m)",
+    ),
+    FindingKind(
         "board-scale-uncertain", _W, "The print is off by so much that its scale is in doubt",
         "the board's print is off ({stretch_percent:+.2f} % longer along x than along y), so its scale, which no image tells, may be "
         "off as well: lengths and baseline are known to {scale_percent:.2f} % at best; {remedy}.",

@@ -6,7 +6,7 @@ there it grows over what else is seen of the board.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
@@ -20,6 +20,7 @@ from binocal.detection.finding.crossings import (
     points_at,
     steps_at,
 )
+from binocal.detection.finding.expected_places import place_near
 from binocal.detection.finding.groups import CornerGroup, link_corners
 from binocal.detection.finding.lattice import MIN_CORNERS
 from binocal.detection.finding.marked_squares import Placement, fits_board, place_board, read_squares
@@ -34,7 +35,7 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
 from binocal.kernels.corner_fits import BoardPlaces
 from binocal.kernels.marker_grids import FieldLens
-from binocal.shapes import Bool, Float, UInt8
+from binocal.shapes import Bool, Float, Float32, UInt8
 
 MOST_SADDLES_PER_CORNER, LEAST_SADDLES = 5, 1200
 MOST_GROUPS = 6  # of linked corners, that are looked at
@@ -42,6 +43,9 @@ LEAST_KEPT = 4  # corners: fewer carry no pose
 MAX_MOVE = 0.25  # of the spacing, between where a corner was seen and where it was measured
 MOST_SIGMA_PX = (
     1.0  # of a corner: at the image's border some are hardly fitted, and off by up to 18 px where squares are large
+)
+MIRROR_IMAGE = (
+    "mirror image; give the images as the cameras took them, or count columns, rows and the marked squares again"
 )
 # A disc's rim is 0.54 squares from the square's corners, and the fit takes what lies within 0.85 of the reach.
 REACH_AT_DISC = 0.5
@@ -63,15 +67,25 @@ class _Refusal:
     rank: int = 0
     text: str = "no chessboard found"
 
+    def not_found(self, n_points: int) -> FoundBoard:
+        """What is told of the image."""
+        return replace(not_found(n_points, self.text), is_unnamed=self.rank in (1, 2))
+
     def consider(self, rank: int, text: str) -> None:
         if rank > self.rank:
             self.rank, self.text = rank, text
 
 
-def detect_marked_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
+def detect_marked_chessboard(
+    grey: ndarray,
+    image: UInt8[ndarray, "h w"],
+    board: Board,
+    expected_px: Float[ndarray, "n 2"] | None = None,
+) -> FoundBoard:
     """The inner corners of a chessboard with marked squares, partly visible or not; ``image`` is ``grey`` stretched to 8 bits.
 
-    Where the marks are not seen, or leave open which part of the board is, nothing is found.
+    Where the marks are not seen, or leave open which part of the board is, its corners are named by where they are expected
+    (NaN: unknown), to a quarter of a square; where nothing is expected, or something else, nothing is found.
     """
     grid = marked_grid(board)
     size_wh = image.shape[1], image.shape[0]
@@ -80,16 +94,16 @@ def detect_marked_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board:
     refusal = _Refusal()
     for saddles, scale in scaled_saddles(image, _level_settings):
         corners, peaks = find_saddles(saddles, most=most)
-        level = saddles, scale, peaks
+        level = saddles.smooth, scale, peaks
         if sighting is None:
-            sighting = _recognise(image, board, saddles, corners, scale, refusal)
+            sighting = _recognise(image, board, expected_px, (saddles, corners, scale), refusal)
             if sighting is None:
                 continue
         _grow(sighting, grid, board, level, size_wh)
         n_known = int(np.isfinite(sighting.known_px[..., 0]).sum())
         if n_known >= ENOUGH_SHARE * count_visible(grid, sighting.known_px, sighting.lens, size_wh):
             break
-    return not_found(board.n_points, refusal.text) if sighting is None else _measure(grey, board, grid, sighting)
+    return refusal.not_found(board.n_points) if sighting is None else _measure(grey, board, grid, sighting)
 
 
 def _level_settings(halvings: int) -> list[LevelSetting]:
@@ -100,12 +114,12 @@ def _level_settings(halvings: int) -> list[LevelSetting]:
 def _recognise(
     image: UInt8[ndarray, "h w"],
     board: Board,
-    saddles: SaddleImage,
-    corners: XCorners,
-    scale: float,
+    expected_px: Float[ndarray, "n 2"] | None,
+    seen: tuple[SaddleImage, XCorners, float],
     refusal: _Refusal,
 ) -> _Sighting | None:
-    """The lattice whose squares are marked as the board's; None, and why, where there is none."""
+    """The lattice whose squares are marked as the board's, or lies where its corners must; None, and why, where there is none."""
+    saddles, corners, scale = seen
     for group in link_corners(saddles, corners)[:MOST_GROUPS]:
         if len(group) < MIN_CORNERS:
             break
@@ -118,8 +132,24 @@ def _recognise(
         placements = place_board(board, grid_px, read_squares(image, grid_px))
         if len(placements) == 1 and fits_board(placements[0], len(group)):
             return _as_sighting(board, grid_px, placements[0], _is_bright_first(group, cells))
+        if expected_px is not None:
+            for placement in place_near(board, grid_px, expected_px):
+                sighting = _as_sighting(board, grid_px, placement, _is_bright_first(group, cells))
+                if not sighting.is_inverted and fits_board(placement, len(group)):  # else off by a square
+                    return sighting
+        if len(placements) < 2 and _is_mirrored(image, board, grid_px, len(group)):
+            refusal.consider(4, f"a chessboard of {columns}x{rows} corners is seen that is the SPEC's {MIRROR_IMAGE}")
         _explain(refusal, board, placements, (int(columns), int(rows)))
     return None
+
+
+def _is_mirrored(
+    image: UInt8[ndarray, "h w"], board: Board, grid_px: Float[ndarray, "rows columns 2"], n_seen: int
+) -> bool:
+    """Whether the lattice is the board's mirror image, and so much of it that its marks and its edges say so."""
+    mirrored = np.ascontiguousarray(grid_px[:, ::-1])
+    placements = place_board(board, mirrored, read_squares(image, mirrored))
+    return len(placements) == 1 and fits_board(placements[0], n_seen)
 
 
 def _explain(refusal: _Refusal, board: Board, placements: list[Placement], size: tuple[int, int]) -> None:
@@ -159,7 +189,7 @@ def _grow(
     sighting: _Sighting,
     grid: MarkerGrid,
     board: Board,
-    level: tuple[SaddleImage, float, Float[ndarray, "k 2"]],
+    level: tuple[Float32[ndarray, "h w"], float, Float[ndarray, "k 2"]],
     size_wh: tuple[int, int],
 ) -> None:
     """Over what the image at this scale has of the board, through the lens that suits it best."""
@@ -177,7 +207,7 @@ def _measure(grey: ndarray, board: Board, grid: MarkerGrid, sighting: _Sighting)
     spacing, height = steps_at(grid, sighting.known_px, sighting.lens, board.n_points)
     reach = np.where(_are_at_discs(board), REACH_AT_DISC, 1.0) * height
     places = BoardPlaces(board.object_points_m[:, :2], board.pitch_m)
-    points, covariance, cross = measure_corners(grey, rough, places, reach)
+    points, covariance, cross = measure_corners(grey, rough, places, reach, may_be_cut=True)
     points = points.copy()
     sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
     points[(np.linalg.norm(points - rough, axis=1) > MAX_MOVE * spacing) | (sigma > MOST_SIGMA_PX)] = np.nan
