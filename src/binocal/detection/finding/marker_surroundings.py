@@ -46,7 +46,9 @@ def read_surroundings(image: UInt8[ndarray, "h w"], board: Board, sighting: Mark
     """What stands beside a board that was found, and whether its outer rows and columns are there; ``image`` has 8 bits."""
     low, high = np.array([0, 0]), np.array([board.columns, board.rows])
     cells = _cells_between(board, sighting.grid, low, high)
-    likeness = _read(image, board, sighting, cells)
+    likeness = sighting.of_faces.copy()  # faces run as ids do
+    is_open = np.isnan(likeness)
+    likeness[is_open] = _read(image, board, sighting, cells[is_open])
     read = cells[likeness >= READ]
     beyond: list[Int[ndarray, "k 2"]] = []
     n_sure = 0
