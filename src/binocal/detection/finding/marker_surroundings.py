@@ -48,7 +48,8 @@ def read_surroundings(image: UInt8[ndarray, "h w"], board: Board, sighting: Mark
     cells = _cells_between(board, sighting.grid, low, high)
     likeness = sighting.of_faces.copy()  # faces run as ids do
     is_open = np.isnan(likeness)
-    likeness[is_open] = _read(image, board, sighting, cells[is_open])
+    if is_open.any():
+        likeness[is_open] = _read(image, board, sighting, cells[is_open])
     read = cells[likeness >= READ]
     beyond: list[Int[ndarray, "k 2"]] = []
     n_sure = 0
@@ -147,6 +148,8 @@ def _prove_spec(board: Board, grid: MarkerGrid, cells: Int[ndarray, "m 2"]) -> s
 
 def _missing_lines(board: Board, cells: Int[ndarray, "m 2"], likeness: Float[ndarray, "m"]) -> str:
     """A note on outer rows or columns none of whose markers is seen though all should be in view; "" without."""
+    if not (likeness < FOREIGN).any():
+        return ""
     left = []
     for axis, n in ((0, board.columns), (1, board.rows)):
         lines = [likeness[cells[:, axis] == k] for k in range(n)]
