@@ -22,7 +22,7 @@ NOTE_PX = 40  # kept free below the board, for what is written there
 PX_M = 1e-3  # a pixel in the drawing, whose unit is the millimetre
 APRIL_DATA_CELLS = 6  # of a tag's side, besides its border
 MOST_DIAGONAL_M = 5.0
-LEAST_PITCH_PX = {"chessboard": 4, "charuco": 8, "aprilgrid": 10, "circles": 8, "acircles": 6}
+LEAST_PITCH_PX = {"chessboard": 4, "charuco": 8, "aprilgrid": 10, "circles": 8, "acircles": 6, "puzzleboard": 12}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +104,8 @@ def _in_pixels(board: Board, pitch_px: int, style: PrintStyle) -> Board | None:
         side = pitch_px // n_cells * n_cells
         gap = max(1, round(board.tag_gap_ratio * side))
         return replace(board, pitch_m=PX_M * side, is_metric=True, tag_gap_ratio=gap / side)
+    if board.kind == "puzzleboard":
+        pitch_px -= pitch_px % 2  # its outer squares are cut in half
     return replace(board, pitch_m=PX_M * pitch_px, is_metric=True)
 
 
@@ -117,7 +119,8 @@ def _named(board: Board, screen: Screen, size_px: tuple[int, int]) -> ScreenBoar
         named = replace(board, pitch_m=pitch_m, marker_m=marker_m)
     fields = format_board(replace(board, pitch_m=1.0, is_metric=False, marker_m=0.5 * bool(marker_px))).split(":")
     lengths = [f"{{{pitch_px}}}", *([f"{{{marker_px}}}"] if marker_px else [])]
-    fields[2:] = [*lengths, *(fields[2:] if board.is_marked else fields[2 + len(lengths) :])]
+    n_written = len(lengths) if board.kind in ("charuco", "aprilgrid") else 0  # other SPECs of a pitch of 1 have none
+    fields[2:] = [*lengths, *fields[2 + n_written :]]
     return ScreenBoard(board, pitch_px, size_px, format_board(named), ":".join(fields))
 
 
