@@ -190,6 +190,10 @@ def test_a_board_without_a_spec_needs_a_dictionary_too():
         ("chessboard:" + "9" * 5000 + "x6:30mm", "too large"),
         ("chessboard:9x6:30m", r"pitch of 30 m is not plausible.*30mm"),
         ("chessboard:9x6:1e400mm", "is not a length"),
+        ("squares:4x3:30mm:2mm", "gap between squares must be 0.1 to 10 times their side"),
+        ("squares:4x3:30mm:20", "give both lengths a unit, or neither"),
+        ("squares:4x3:30mm:20mm:5mm", "too many fields"),
+        ("squares:4x1:30mm:20mm", "too small for a square grid"),
     ],
 )
 def test_an_impossible_board_is_refused_by_name(spec, words):
@@ -254,7 +258,7 @@ LENGTHS = st.floats(1e-3, 2.0).map(lambda metres: round(metres, 6))
 @st.composite
 def boards(draw):
     """A board of any kind that a SPEC can say."""
-    kind = draw(st.sampled_from(("chessboard", "charuco", "aprilgrid", "circles", "acircles")))
+    kind = draw(st.sampled_from(("chessboard", "charuco", "aprilgrid", "circles", "acircles", "squares")))
     columns, rows = draw(st.integers(3, 20)), draw(st.integers(3, 20))
     pitch_m, is_metric = draw(LENGTHS), draw(st.booleans()) if kind != "charuco" else True
     given_board = {"is_metric": is_metric}
@@ -264,6 +268,8 @@ def boards(draw):
         given_board |= {"dictionary": "tag36h11", "tag_gap_ratio": round(draw(st.floats(0.1, 0.9)), 3)}
         if columns * rows < 300:
             given_board |= {"dictionary": draw(st.sampled_from(("tag36h11", "tag36h10")))}
+    if kind == "squares":
+        given_board |= {"gap_m": round((pitch_m if is_metric else 1.0) * draw(st.floats(0.2, 3.0)), 7)}
     if kind in ("charuco", "aprilgrid") and columns * rows < 300:
         given_board |= {"first_tag_id": draw(st.integers(0, 80))}
     return Board(kind, columns, rows, pitch_m if is_metric else 1.0, **given_board)
@@ -273,10 +279,10 @@ def boards(draw):
 @given(boards())
 def test_every_board_is_said_by_its_spec(board):
     said = parse_board(format_board(board))
-    assert replace(said, pitch_m=board.pitch_m, marker_m=board.marker_m) == board
-    assert said.pitch_m == pytest.approx(board.pitch_m, rel=1e-9) and said.marker_m == pytest.approx(
-        board.marker_m, rel=1e-9
-    )
+    lengths = {name: getattr(board, name) for name in ("pitch_m", "marker_m", "gap_m")}
+    assert replace(said, **lengths) == board
+    for name, length in lengths.items():
+        assert getattr(said, name) == pytest.approx(length, rel=1e-9)
 
 
 MARKED = [
@@ -331,6 +337,20 @@ def test_only_chessboards_have_marked_squares():
         replace(parse_board("chessboard:99x6:20mm"), discs=tuple((c, 1) for c in range(1, 66)))
     with pytest.raises(ValueError, match="Kalibr knows no marked chessboards"):
         format_kalibr_target(parse_board("chessboard:9x6:20mm:marked"))
+
+
+def test_the_corners_of_a_square_grid_are_in_boofcvs_order():
+    board = parse_board("squares:2x2:30mm:20mm")
+    assert board.n_points == 16 and not board.allows_partial
+    x, y = 1e3 * board.object_points_m[:, :2].T
+    # its first row are the upper corners of the upper squares, from the left
+    assert x == pytest.approx(4 * [0, 30, 50, 80]) and y == pytest.approx(np.repeat([0, 30, 50, 80], 4))
+    assert parse_board("squares:4x3:30mm") == parse_board("squares:4x3:30mm:30mm")  # a gap as wide as the squares
+    assert parse_board("squares:4x3:2:1").gap_m == 0.5
+    with pytest.raises(ValueError, match="a circle grid has none"):
+        replace(parse_board("circles:9x6:20mm"), gap_m=0.01)
+    with pytest.raises(ValueError, match="no square grids"):
+        format_kalibr_target(board)
 
 
 def test_circle_styles_are_read_and_written():

@@ -25,7 +25,14 @@ def test_two_lengths_with_units():
 
 
 @pytest.mark.parametrize(
-    "spec", ["chessboard:9x6:20mm", "charuco:5x4:30mm:22mm:DICT_5X5_50", "aprilgrid:3x2:50mm:0.3", "acircles:4x11:12mm"]
+    "spec",
+    [
+        "chessboard:9x6:20mm",
+        "charuco:5x4:30mm:22mm:DICT_5X5_50",
+        "aprilgrid:3x2:50mm:0.3",
+        "acircles:4x11:12mm",
+        "squares:4x3:30mm:20mm",
+    ],
 )
 def test_scales_are_measured_over_drawn(spec):
     board = parse_board(spec)
@@ -39,6 +46,8 @@ def test_a_board_without_a_scale_gets_one():
     assert board.is_metric and board.marker_m / board.pitch_m == pytest.approx(0.7)
     assert board.pitch_m * 5 * scales[0] == pytest.approx(0.1505)
     assert board.pitch_m * 4 * scales[1] == pytest.approx(0.1198)
+    board, _ = board_as_measured(parse_board("squares:4x3:2:1"), (0.165, 0.12))
+    assert board.pitch_m == pytest.approx(0.03) and board.gap_m == pytest.approx(0.015)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ from binocal.initialization.symmetries import board_symmetries, transposed_order
         ("chessboard:7x7:20mm", 8),
         ("circles:10x6:30mm", 4),
         ("acircles:4x11:20mm", 2),
+        ("squares:4x3:30mm:20mm", 4),
+        ("squares:4x4:30mm:20mm", 8),
         ("charuco:11x8:30mm:22mm:DICT_5X5_50", 4),
         ("aprilgrid:6x6:88mm:0.3", 8),
     ],

@@ -14,6 +14,7 @@ import pytest
 import binocal
 from binocal.app.board import write_screen_board
 from binocal.boards import Board, load_board, parse_board
+from binocal.printing.board_shapes import PrintStyle
 from binocal.printing.screen import NOTE_PX, Screen, ScreenBoard, fit_board, screen_page
 from binocal.report.printing import NAMES
 
@@ -23,6 +24,7 @@ KINDS = [
     "aprilgrid:4x3:40mm:0.3",
     "circles:10x8:20mm",
     "acircles:4x11:20mm",
+    "squares:5x4:30mm:20mm",
 ]
 
 
@@ -52,6 +54,17 @@ def test_edges_lie_between_pixels_and_the_pitch_is_right(spec):
     assert farthest_px(np.pad(image, 50, constant_values=255), board, shown) < 1e-3
 
 
+@pytest.mark.parametrize("spec", ["charuco:11x8:30mm:22mm:DICT_5X5_50", "circles:10x8:20mm"])
+def test_an_inverted_board_is_on_a_black_page(spec):
+    screen, style = Screen.of_diagonal((1920, 1080), 0.6), PrintStyle(is_inverted=True)
+    shown = fit_board(parse_board(spec), screen, style)
+    page = screen_page(shown, screen, style)
+    assert "background: #000" in page and "@" not in re.sub(r"base64,[^\"]*", "", page).replace("@media", "")
+    image = image_of(page)
+    assert np.array_equal(image, 255 - image_of(screen_page(shown, screen)))
+    assert farthest_px(np.pad(image, 50, constant_values=0), parse_board(shown.spec), shown) < 1e-3
+
+
 def test_the_pitch_is_the_specs_where_it_fits_else_the_largest():
     screen = Screen.of_diagonal((2560, 1440), 27 * 0.0254)
     assert fit_board(parse_board("chessboard:9x6:20mm"), screen).pitch_px == round(0.02 / screen.pixel_m)
@@ -63,6 +76,12 @@ def test_the_pitch_is_the_specs_where_it_fits_else_the_largest():
 def test_without_a_diagonal_the_scale_is_unknown():
     shown = fit_board(parse_board("charuco:5x4:1:0.75:DICT_4X4_50"), Screen((640, 480), None))
     assert not parse_board(shown.spec).is_metric and shown.template.startswith(f"charuco:5x4:{{{shown.pitch_px}}}:{{")
+
+
+def test_a_square_grids_gap_is_whole_pixels_too():
+    shown = fit_board(parse_board("squares:5x4:30mm:20mm"), Screen((640, 480), None))
+    side, gap = shown.pitch_px, round(shown.board.gap_m / shown.board.pitch_m * shown.pitch_px)
+    assert shown.template == f"squares:5x4:{{{side}}}:{{{gap}}}" and abs(gap / side - 2 / 3) < 1 / side
 
 
 def test_a_screens_board_keeps_its_marks():

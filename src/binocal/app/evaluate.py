@@ -324,4 +324,6 @@ def _weights_of_cameras(calibration: StereoCalibration, shape: tuple[int, int]) 
 
 def _side_m(board: Board) -> float:
     """Distance of neighbouring points of the board, metres."""
+    if board.kind == "squares":
+        return min(board.pitch_m, board.gap_m)
     return board.pitch_m * (np.sqrt(2) if board.kind == "acircles" else 1.0)

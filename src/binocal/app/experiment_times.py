@@ -19,7 +19,7 @@ from binocal.calibrators import calibrate
 from binocal.datasets.folder import list_pairs
 from binocal.errors import BinocalError
 from binocal.evidence import Detections
-from binocal.experiments.case import Result
+from binocal.experiments.case import OPENCV_THROUGHOUT, Result
 from binocal.experiments.journal import Key
 from binocal.experiments.options import LEAST_PAIRS, ExperimentOptions
 from binocal.experiments.row import NAN, Measured, Row, row_of
@@ -36,12 +36,11 @@ PAPER_SECONDS = {
     "wide-field": {"KITTI": 10.4, "Cityscapes": 11.1, MEASURED: 15.4},
 }
 """What the paper's table 4 prints, 1000 images each, on a machine that it does not name."""
-OPENCV = "opencv, its own corners"
 BOARD_METHODS = {
     "drl": ("drl", "brown4"),
     "lm": ("lm", "brown4"),
     "from-guess": ("from-guess", "brown4"),
-    OPENCV: ("opencv", "brown4"),
+    OPENCV_THROUGHOUT: ("opencv", "brown4"),
     "alternating": ("alternating", "brown4"),
     "absolute-orientation": ("absolute-orientation", "brown4"),
     "heterogeneous": ("heterogeneous", "brown4"),
@@ -88,7 +87,7 @@ def _measured(options: ExperimentOptions, has: Has) -> Iterator[Result]:
         ours = _found(folders, lambda left, right, board: detect_corners(left, right, board))
         for name in missing:
             try:
-                found = _found(folders, _by_opencv) if name == OPENCV else ours
+                found = _found(folders, _by_opencv) if name == OPENCV_THROUGHOUT else ours
             except BinocalError as error:
                 yield Result(MEASURED, name, options.seed, failure=" ".join(str(error).split()))
                 continue
@@ -106,7 +105,7 @@ def _found(folders: Mapping[str, Path], find: Callable[[str, str, Board], Detect
 
 def _by_opencv(left: str, right: str, board: Board) -> Detections:
     """As OpenCV's users find them."""
-    from binocal.benchmark.opencv_peer import detect_with_opencv
+    from binocal.detection.opencv_finder import detect_with_opencv
 
     return detect_with_opencv(list_pairs(left, right).pairs, board)
 

@@ -22,7 +22,7 @@ from binocal.shapes import Bool, Float, Int
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 _EXAMPLES = (
     "chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), aprilgrid:6x6:88mm:0.3, "
-    "circles:10x10:30mm, acircles:4x11:20mm, puzzleboard:11x8:30mm (inner corners)"
+    "circles:10x10:30mm, acircles:4x11:20mm, squares:4x3:30mm:30mm, puzzleboard:11x8:30mm (inner corners)"
 )
 
 MOST_POINTS = 40_000  # 200 x 200; a camera of 20 million pixels gives each a square of 22 pixels
@@ -31,7 +31,11 @@ LARGEST_PITCH_M = (
     3.0  # the largest boards known have squares of half a metre; millimetres given as metres are far beyond
 )
 LARGEST_TAG_GAP_RATIO = 10.0  # Kalibr's is 0.3
-_KINDS = ("chessboard", "charuco", "aprilgrid", "circles", "acircles", "puzzleboard")
+SQUARE_GAP_RATIOS = (
+    0.1,
+    10.0,
+)  # of the gap over the side: narrower ones are one edge to a lens, wider ones hold half of the sheet empty
+_KINDS = ("chessboard", "charuco", "aprilgrid", "circles", "acircles", "squares", "puzzleboard")
 
 _NAMES = {
     "chessboard": "a chessboard",
@@ -39,10 +43,11 @@ _NAMES = {
     "aprilgrid": "an AprilGrid",
     "circles": "a circle grid",
     "acircles": "a staggered circle grid",
+    "squares": "a square grid",
     "puzzleboard": "a PuzzleBoard",
 }
 
-BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles", "puzzleboard"]
+BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles", "squares", "puzzleboard"]
 CircleStyle = Literal["", "large", "hollow", "rings"]
 CIRCLE_STYLES = ("large", "hollow", "rings")
 MARKS = (
@@ -59,9 +64,9 @@ class Board:
     """A planar calibration board.
 
     ``columns`` and ``rows`` count what the field counts for the kind: inner corners (chessboard, puzzleboard), squares (charuco),
-    tags (aprilgrid), circles (circles), circles per row and rows (acircles, OpenCV's staggered layout).
-    ``pitch_m`` is the square's side, the tag's side (aprilgrid), the spacing of circles, or half the spacing within a
-    row (acircles), in metres; 1 and ``is_metric`` False when the specification gave no unit: lengths are then in
+    tags (aprilgrid), circles (circles), circles per row and rows (acircles, OpenCV's staggered layout), squares (squares, BoofCV's
+    square grid). ``pitch_m`` is the square's side, the tag's side (aprilgrid), the spacing of circles, or half the spacing within
+    a row (acircles), in metres; 1 and ``is_metric`` False when the specification gave no unit: lengths are then in
     pitches.
     """
 
@@ -86,13 +91,13 @@ class Board:
     """Chessboard: squares that have the other colour."""
     circle_style: CircleStyle = ""
     """Circle grids: three circles about the middle larger ("large") or rings ("hollow"), all rings ("rings"), or plain."""
+    gap_m: float = 0.0
+    """Square grids: from one square's side to the next one's, metres."""
     start: tuple[int, int] = (0, 0)
     """PuzzleBoard: which corner (column, row) of the whole pattern is the board's first."""
 
     def __post_init__(self) -> None:
-        least = {"chessboard": 2, "charuco": 2, "aprilgrid": 1, "circles": 2, "acircles": 2, "puzzleboard": 4}[
-            self.kind
-        ]
+        least = {"aprilgrid": 1, "puzzleboard": 4}.get(self.kind, 2)
         size = f"board {_shown(f'{self.columns}x{self.rows}')}"
         if self.columns < least or self.rows < least or self.n_points < 4:
             raise ValueError(f"{size} is too small for {_NAMES[self.kind]}")
@@ -125,16 +130,30 @@ class Board:
             check_marks(self.columns, self.rows, self.discs, self.swapped)
         if self.circle_style:
             self._check_style()
-        if self.kind == "puzzleboard" or self.start != (0, 0):
-            self._check_start()
+        self._check_gap()
+        self._check_start()
 
     def _check_start(self) -> None:
         column, row = self.start
         if self.kind != "puzzleboard":
-            raise ValueError(f"a start in the pattern belongs to PuzzleBoards; {_NAMES[self.kind]} has none")
+            if self.start != (0, 0):
+                raise ValueError(f"a start in the pattern belongs to PuzzleBoards; {_NAMES[self.kind]} has none")
+            return
         if min(self.start) < 0 or column + self.columns > SIDE or row + self.rows > SIDE:
             raise ValueError(
                 f"a PuzzleBoard of {self.columns}x{self.rows} corners from {column},{row} on reaches beyond the pattern's {SIDE}x{SIDE}"
+            )
+
+    def _check_gap(self) -> None:
+        if self.kind != "squares":
+            if self.gap_m:
+                raise ValueError(f"a gap in metres belongs to square grids; {_NAMES[self.kind]} has none")
+            return
+        low, high = SQUARE_GAP_RATIOS
+        if not low * self.pitch_m <= self.gap_m <= high * self.pitch_m:
+            raise ValueError(
+                f"the gap between squares must be {low:g} to {high:g} times their side; got {self.gap_m:g} m "
+                f"between squares of {self.pitch_m:g} m"
             )
 
     def _check_style(self) -> None:
@@ -166,7 +185,7 @@ class Board:
         """Number of measurable points."""
         if self.kind == "charuco":
             return (self.columns - 1) * (self.rows - 1)
-        if self.kind == "aprilgrid":
+        if self.kind in ("aprilgrid", "squares"):
             return 4 * self.columns * self.rows
         return self.columns * self.rows
 
@@ -223,7 +242,8 @@ class Board:
         that the board's outer corner is the origin. acircles: OpenCV's order, x = (2 column + row mod 2) pitch, y = row
         pitch.
         aprilgrid: tag by tag, row by row from the top-left tag, each tag's corners top-left, top-right, bottom-right,
-        bottom-left (of the tag as printed).
+        bottom-left (of the tag as printed). squares: the squares' corners row by row from (0, 0), as BoofCV numbers them: the upper
+        corners of the first row of squares, then its lower ones.
         """
         points = np.zeros((self.n_points, 3))
         if self.kind == "aprilgrid":
@@ -231,6 +251,10 @@ class Board:
             row, column = np.divmod(np.arange(self.columns * self.rows), self.columns)
             corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
             points[:, :2] = (np.stack([column, row], axis=-1)[:, None] * step + corners).reshape(-1, 2)
+        elif self.kind == "squares":
+            row, column = np.divmod(np.arange(self.n_points), 2 * self.columns)
+            for axis, place in enumerate((column, row)):
+                points[:, axis] = place // 2 * (1 + self.gap_m / self.pitch_m) + place % 2
         else:
             inner = 1 if self.kind == "charuco" else 0
             row, column = np.divmod(np.arange(self.n_points), self.columns - inner)
@@ -272,7 +296,7 @@ def parse_board(spec: str) -> Board:
     fields = [field for field in fields if field not in marks]
     style = fields.pop() if kind in ("circles", "acircles") and fields[-1] in CIRCLE_STYLES else ""
     start = _parse_start(fields.pop(), spec) if kind == "puzzleboard" and "=" in fields[-1] else (0, 0)
-    most = {"charuco": 5, "aprilgrid": 5}.get(kind, 2)
+    most = {"charuco": 5, "aprilgrid": 5, "squares": 3}.get(kind, 2)
     if len(fields) > most:
         raise ValueError(f"board {_shown(spec)!r} has too many fields; examples: {_EXAMPLES}")
     pitch_m, is_metric = _length_of(spec, fields[1]) if len(fields) > 1 else (1.0, False)
@@ -305,6 +329,13 @@ def parse_board(spec: str) -> Board:
         return Board(
             kind, columns, rows, pitch_m, is_metric, dictionary=family, tag_gap_ratio=gap, first_tag_id=first_id
         )
+    if kind == "squares":
+        # without a gap it is as wide as the squares, which is usual
+        gap_m, gap_is_metric = _length_of(spec, fields[2]) if len(fields) > 2 else (pitch_m * scale, is_metric)
+        if gap_is_metric != is_metric:
+            raise ValueError(f"board {_shown(spec)!r}: give both lengths a unit, or neither")
+        gap_m /= scale
+        return Board(kind, columns, rows, pitch_m, is_metric, gap_m=gap_m)
     try:
         discs, swapped = parse_marks(marks, columns, rows)
     except ValueError as error:
@@ -355,11 +386,13 @@ def format_board(board: Board) -> str:
     Not carried, because rendering alone needs it: the circles' diameter.
     """
     spec = f"{board.kind}:{board.columns}x{board.rows}"
-    needs_length = board.is_metric or board.kind in ("charuco", "aprilgrid") or board.pitch_m != 1.0
+    needs_length = board.is_metric or board.kind in ("charuco", "aprilgrid", "squares") or board.pitch_m != 1.0
     if needs_length:
         spec += f":{format_length(board.pitch_m) if board.is_metric else repr(board.pitch_m)}"
     if board.kind == "charuco":
         spec += f":{format_length(board.marker_m) if board.is_metric else repr(board.marker_m)}:{board.dictionary}"
+    if board.kind == "squares":
+        spec += f":{format_length(board.gap_m) if board.is_metric else repr(board.gap_m)}"
     if board.kind == "aprilgrid":
         spec += f":{board.tag_gap_ratio!r}"
         if board.dictionary not in ("", "tag36h11"):

@@ -17,6 +17,7 @@ _ENDS = {
     "circles": "from the first circle's centre to the last one's",
     "acircles": "from the first circle's centre to the farthest one's",
     "puzzleboard": "over all its print, from outer edge to outer edge (half a square beyond the outer corners)",
+    "squares": "over all its squares, from outer edge to outer edge",
 }
 
 
@@ -62,7 +63,9 @@ def board_as_measured(board: Board, measured_m: tuple[float, float]) -> tuple[Bo
     drawn = x1 - x0, y1 - y0
     if not board.is_metric:
         pitch_m = float(np.sqrt(measured_m[0] / drawn[0] * measured_m[1] / drawn[1]))
-        board = replace(board, pitch_m=pitch_m, is_metric=True, marker_m=board.marker_m * pitch_m)
+        board = replace(
+            board, pitch_m=pitch_m, is_metric=True, marker_m=board.marker_m * pitch_m, gap_m=board.gap_m * pitch_m
+        )
         drawn = drawn[0] * pitch_m, drawn[1] * pitch_m
     off = [measured / length - 1 for measured, length in zip(measured_m, drawn, strict=True)]
     if max(map(abs, off)) <= MOST_OFF:

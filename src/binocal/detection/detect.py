@@ -62,6 +62,10 @@ def _detect_kind(
         from binocal.detection.circles import detect_circles
 
         return detect_circles(grey, stretched, board), None
+    if board.kind == "squares":
+        from binocal.detection.squares import detect_squares
+
+        return detect_squares(grey, stretched, board), None
     if board.kind == "charuco":
         from binocal.detection.charuco import detect_charuco
 

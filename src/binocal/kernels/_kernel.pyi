@@ -14,8 +14,10 @@ Indices: TypeAlias = ndarray[tuple[int, ...], dtype[int64]]
 Plane: TypeAlias = ndarray[tuple[int, ...], dtype[float32]]
 
 N_OBSERVED: int
+SPOT_SIZE: int
 RECORD_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 ELLIPSE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
+SQUARE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 
 # residuals
 @final
@@ -170,6 +172,23 @@ def fit_planes(
 # images
 def saddle_response(smooth: ndarray, response: ndarray, /) -> None: ...
 def find_peaks(response: ndarray, reach: int, margin: int, least: float, points: Floats, /) -> int: ...
+def find_spots(
+    image: ndarray, around: ndarray, below: int, least_area: int, most_side: float, records: Floats, /
+) -> int: ...
+def find_nearest(points: Floats, near: Indices, distance: Floats, unlike: Floats, /) -> None: ...
+def grow_point_lattice(
+    points: Floats,
+    log_sizes: Floats,
+    is_free: ndarray,
+    seed: int,
+    basis: Floats,
+    most_error: float,
+    sure_error: float,
+    most_log_ratio: float,
+    members: Indices,
+    cells: Indices,
+    /,
+) -> int: ...
 def sample(image: ndarray, points: Floats, values: Plane, /) -> None: ...
 def read_rings(
     image: ndarray,
@@ -256,6 +275,7 @@ def fit_corners(
 ) -> None: ...
 def pool_corners(fits: Floats, are_corners: bool, pooled: Floats, /) -> float: ...
 def fit_ellipses(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
+def fit_squares(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
 def fit_image_lens(
     board_xy: Floats,
     points: Floats,

@@ -22,7 +22,15 @@ NOTE_PX = 40  # kept free below the board, for what is written there
 PX_M = 1e-3  # a pixel in the drawing, whose unit is the millimetre
 APRIL_DATA_CELLS = 6  # of a tag's side, besides its border
 MOST_DIAGONAL_M = 5.0
-LEAST_PITCH_PX = {"chessboard": 4, "charuco": 8, "aprilgrid": 10, "circles": 8, "acircles": 6, "puzzleboard": 12}
+LEAST_PITCH_PX = {
+    "chessboard": 4,
+    "charuco": 8,
+    "aprilgrid": 10,
+    "circles": 8,
+    "acircles": 6,
+    "squares": 6,
+    "puzzleboard": 12,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,20 +114,27 @@ def _in_pixels(board: Board, pitch_px: int, style: PrintStyle) -> Board | None:
         return replace(board, pitch_m=PX_M * side, is_metric=True, tag_gap_ratio=gap / side)
     if board.kind == "puzzleboard":
         pitch_px -= pitch_px % 2  # its outer squares are cut in half
+    if board.kind == "squares":
+        gap = max(1, round(board.gap_m / board.pitch_m * pitch_px))
+        return replace(board, pitch_m=PX_M * pitch_px, is_metric=True, gap_m=PX_M * gap)
     return replace(board, pitch_m=PX_M * pitch_px, is_metric=True)
 
 
 def _named(board: Board, screen: Screen, size_px: tuple[int, int]) -> ScreenBoard:
     pitch_px = round(board.pitch_m / PX_M)
-    marker_px = round(board.marker_m / PX_M)
+    second = {"charuco": "marker_m", "squares": "gap_m"}.get(board.kind, "")  # the other length of its SPEC
+    second_px = round(getattr(board, second) / PX_M) if second else 0
     if screen.pixel_m is None:
-        named = replace(board, pitch_m=1.0, is_metric=False, marker_m=marker_px / pitch_px)
+        named = replace(board, pitch_m=1.0, is_metric=False, **({second: second_px / pitch_px} if second else {}))
     else:
-        pitch_m, marker_m = (1e-3 * float(f"{1e3 * screen.pixel_m * px:.6g}") for px in (pitch_px, marker_px))
-        named = replace(board, pitch_m=pitch_m, marker_m=marker_m)
-    fields = format_board(replace(board, pitch_m=1.0, is_metric=False, marker_m=0.5 * bool(marker_px))).split(":")
-    lengths = [f"{{{pitch_px}}}", *([f"{{{marker_px}}}"] if marker_px else [])]
-    n_written = len(lengths) if board.kind in ("charuco", "aprilgrid") else 0  # other SPECs of a pitch of 1 have none
+        pitch_m, second_m = (1e-3 * float(f"{1e3 * screen.pixel_m * px:.6g}") for px in (pitch_px, second_px))
+        named = replace(board, pitch_m=pitch_m, **({second: second_m} if second else {}))
+    unit = replace(board, pitch_m=1.0, is_metric=False, **({second: 0.5} if second else {}))
+    fields = format_board(unit).split(":")
+    lengths = [f"{{{pitch_px}}}", *([f"{{{second_px}}}"] if second else [])]
+    n_written = (
+        len(lengths) if board.kind in ("charuco", "aprilgrid", "squares") else 0
+    )  # other SPECs of a pitch of 1 have none
     fields[2:] = [*lengths, *fields[2 + n_written :]]
     return ScreenBoard(board, pitch_px, size_px, format_board(named), ":".join(fields))
 
@@ -140,7 +155,12 @@ def screen_page(shown: ScreenBoard, screen: Screen, style: PrintStyle | None = N
     }
     data = json.dumps(values).replace("<", "\\u003c")
     image = base64.b64encode(png).decode("ascii")
-    return _PAGE.replace("@TITLE@", escape(shown.spec)).replace("@IMAGE@", image).replace("@VALUES@", data)
+    ground, ink = ("#000", "#fff") if style is not None and style.is_inverted else ("#fff", "#000")
+    filled = {"@TITLE@": escape(shown.spec), "@GROUND@": ground, "@INK@": ink, "@IMAGE@": image, "@VALUES@": data}
+    page_text = _PAGE
+    for mark, text in filled.items():
+        page_text = page_text.replace(mark, text)
+    return page_text
 
 
 def _dpi(screen: Screen) -> float:
@@ -153,10 +173,10 @@ _PAGE = """<!doctype html>
 <meta charset="utf-8">
 <title>@TITLE@</title>
 <style>
-html, body { margin: 0; height: 100%; background: #fff; overflow: hidden; }
+html, body { margin: 0; height: 100%; background: @GROUND@; overflow: hidden; }
 #board { position: absolute; image-rendering: pixelated; }
-#note { position: absolute; left: 8px; bottom: 4px; font: 12px monospace; color: #000; }
-#warning { color: #b00; }
+#note { position: absolute; left: 8px; bottom: 4px; font: 12px monospace; color: @INK@; }
+#warning { color: #c33; }
 :fullscreen { cursor: none; }
 </style>
 </head>

@@ -121,6 +121,8 @@ def _grid(board: Board) -> tuple[int, int]:
     """Columns and rows of the points of a board whose points form one grid."""
     if board.kind == "aprilgrid":
         raise ValueError("the points of an aprilgrid carry their identity and do not form rows; choose another board")
+    if board.kind == "squares":
+        return 2 * board.columns, 2 * board.rows
     inner = 1 if board.kind == "charuco" else 0
     return board.columns - inner, board.rows - inner
 

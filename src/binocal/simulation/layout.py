@@ -13,6 +13,7 @@ needs. Conventions, each held against OpenCV or Kalibr by a test:
 - puzzleboard: its authors' generator: the outer squares are cut in half, and a dot lies on every edge between two corners.
 - circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours; three of them 1.4 times as large
   or rings, or all of them rings, whose holes have half their diameter.
+- squares: black squares, the gaps between them white, as BoofCV prints them.
 """
 
 from __future__ import annotations
@@ -71,6 +72,8 @@ def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
     elif board.kind == "aprilgrid":
         gap = board.tag_gap_ratio
         box = (-gap, -gap, board.columns * (1 + gap), board.rows * (1 + gap))
+    elif board.kind == "squares":
+        box = (0.0, 0.0, *(board.object_points_m[-1, :2] / board.pitch_m))
     else:
         discs = disc_print(board)
         right = (board.columns - 1) * discs.step_x + (discs.stagger if board.rows > 1 else 0)
@@ -116,7 +119,7 @@ def disc_print(board: Board) -> DiscPrint:
 
 
 def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bits: int = 2) -> CellPrint:
-    """Cells of a chessboard, ChArUco, AprilGrid or PuzzleBoard.
+    """Cells of a chessboard, a ChArUco board, an AprilGrid, a square grid or a PuzzleBoard.
 
     Raises:
         ValueError: The dictionary is unknown or has too few markers.
@@ -127,6 +130,8 @@ def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bi
         return _charuco_print(board, is_legacy_charuco)
     if board.kind == "aprilgrid":
         return _aprilgrid_print(board, april_border_bits)
+    if board.kind == "squares":
+        return _squares_print(board)
     if board.kind == "puzzleboard":
         return _puzzle_print(board)
     raise ValueError(f"{board.kind} is not made of cells")
@@ -140,6 +145,12 @@ def _chessboard_print(board: Board) -> CellPrint:
     discs = [(x - 0.5, y - 0.5, DISC_RADIUS, 1.0 - ink[y, x]) for x, y in board.discs]
     edges = np.arange(-1.0, board.columns + 1), np.arange(-1.0, board.rows + 1)
     return CellPrint(*edges, ink, np.array(discs).reshape(-1, 4))
+
+
+def _squares_print(board: Board) -> CellPrint:
+    row, column = np.mgrid[: 2 * board.rows - 1, : 2 * board.columns - 1]
+    x, y = board.object_points_m.reshape(2 * board.rows, 2 * board.columns, 3)[..., :2].T / board.pitch_m
+    return CellPrint(x[:, 0], y[0], ((row % 2 == 0) & (column % 2 == 0)).astype(int))
 
 
 def _puzzle_print(board: Board) -> CellPrint:
