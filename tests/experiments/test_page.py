@@ -143,6 +143,8 @@ def test_a_cut_experiment_of_other_options_is_not_gone_on_with(small, tmp_path, 
     assert main(["experiment", "--images", "80", "--seeds", "3", "--output", str(output)]) == 3
     assert "the journal of another experiment" in capsys.readouterr().err
     assert main(["experiment", "--images", "80", "--seeds", "3", "--output", str(output), "--force"]) == 0
+    assert main(["experiment", "--images", "100000000", "--output", str(output)]) == 2
+    assert "above 20000" in capsys.readouterr().err
     assert main(["experiment", "--images", "20", "--seeds", "3", "--output", str(output)]) == 2
     assert "at least 8 are needed" in capsys.readouterr().err
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
 from binocal.boards import parse_board
 from binocal.errors import CancelledError, FormatError
+from binocal.experiments import run
 from binocal.experiments.case import Case, OpenCVThroughout, Result, Sample, results_of
 from binocal.experiments.journal import Journal
 from binocal.experiments.row import NAN, Measured
@@ -62,6 +65,17 @@ def test_opencv_throughout_works_from_its_own_corners():
 def test_many_processes_find_what_one_does():
     one, two = (run_cases(CASES, SEEDS, workers=n) for n in (1, 2))
     assert {key: repr(one[key]) for key in one} == {key: repr(two[key]) for key in two}  # NaN is not NaN
+
+
+def test_the_tracker_of_semaphores_is_told_to_say_nothing(monkeypatch):
+    seen = []
+    monkeypatch.setattr(run.resource_tracker, "ensure_running", lambda: seen.append(os.environ["PYTHONWARNINGS"]))
+    monkeypatch.setenv("PYTHONWARNINGS", "default")
+    run._quiet_tracker()
+    assert seen == ["default,ignore:resource_tracker"] and os.environ["PYTHONWARNINGS"] == "default"
+    monkeypatch.delenv("PYTHONWARNINGS")
+    run._quiet_tracker()
+    assert seen[1:] == ["ignore:resource_tracker"] and "PYTHONWARNINGS" not in os.environ
 
 
 def test_a_cut_run_goes_on_where_it_was_and_ends_in_the_same(tmp_path):

@@ -17,7 +17,7 @@ from binocal.app.natural import NaturalOptions, NaturalRun, NaturalSource, recal
 from binocal.boards import Board
 from binocal.calibrators import calibrate
 from binocal.datasets.folder import list_pairs
-from binocal.errors import BinocalError
+from binocal.errors import BinocalError, DataError
 from binocal.evidence import Detections
 from binocal.experiments.case import OPENCV_THROUGHOUT, Result
 from binocal.experiments.journal import Key
@@ -50,6 +50,7 @@ BOARD_METHODS = {
 STREET_METHODS = ("drl", "portfolio", "lm")
 MAX_PAIRS = {"KITTI": 8, "Cityscapes": 4, "measured, streets": 4}
 """Pairs that are used. Of images of 2 million pixels eight take 17 s of processor time, four 8 s."""
+LEAST_STREET_PAIRS = 2  # of a set of streets
 LONG_S = 5.0  # a solve that took longer is not repeated
 REPEATS = 3
 
@@ -57,6 +58,20 @@ MOST_TIMED = len(BOARD_METHODS) + len(STREETS) * len(STREET_METHODS)
 
 Has = Callable[[str, str], bool]
 """Whether a case's method is in the journal already."""
+
+
+def check_streets(options: ExperimentOptions) -> None:
+    """Whether the folders of real streets are what they are given as.
+
+    Raises:
+        DataError: One is not of its layout, or holds too few pairs; it names the folder.
+    """
+    for option, folder in (("kitti", options.kitti), ("cityscapes", options.cityscapes)):
+        if folder is None:
+            continue
+        n_pairs = len(source_of_dataset(f"{option}:{folder}", None).pairs)
+        if n_pairs < LEAST_STREET_PAIRS:
+            raise DataError(f"{folder}: --{option} has {n_pairs} pairs, at least {LEAST_STREET_PAIRS} are needed.")
 
 
 def timed_results(options: ExperimentOptions, has: Has) -> Iterator[Result]:
