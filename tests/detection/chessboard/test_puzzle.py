@@ -27,13 +27,13 @@ def test_a_whole_board_is_named_whichever_way_up(shoot, turn):
     assert off_px(shot, found).max() < 0.15
 
 
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.2, 0.15), (-0.3, 0.1)])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.1, 0.1), (-0.2, 0.05)])
 def test_any_part_is_named(shoot, shift):
-    shot = shoot(SPEC, xi_rad=(0.3, -0.2, 0.4), distance=0.5, shift=shift)
+    shot = shoot(SPEC, xi_rad=(0.3, -0.2, 0.4), distance=0.6, shift=shift)
     found = detect(shot.image, shot.board)
     n_inside = int(np.isfinite(shot.corners_px[:, 0]).sum())
     assert found.is_found, found.reason
-    assert 0.8 * n_inside <= found.is_seen.sum() <= n_inside < 60 and f"{found.is_seen.sum()} of" in found.note
+    assert 0.8 * n_inside <= found.is_seen.sum() <= n_inside < 70 and f"{found.is_seen.sum()} of" in found.note
     assert off_px(shot, found).max() < 0.2
 
 
@@ -61,5 +61,7 @@ def test_what_is_not_the_board_has_no_names(shoot):
     assert "another part of the pattern, columns 50 to 60 and rows 101 to 108" in elsewhere
     plain = detect(shoot("chessboard:11x8:30mm", distance=1.7).image, shot.board)
     assert not plain.is_found and "shows no dots" in plain.reason
+    markers = detect(shoot("charuco:12x9:30mm:22mm:DICT_5X5_100", distance=1.7).image, shot.board)
+    assert not markers.is_found and "shows no dots" in markers.reason
     empty = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (480, 640)).astype(np.uint8), (0, 0), 2.0)
     assert not detect(empty, shot.board).is_found

@@ -28,9 +28,8 @@ LEAST_DEPTH = (
     0.2  # of a dot, in half the contrast of squares, by the median edge: a blur of a quarter of a square leaves so much
 )
 LEAST_AGREEMENT = 0.6  # a fifth of the bits wrong
-MOST_CHANCE = (
-    1e-3  # that bits of chance agree as well with any place on the board: another lattice with dots is seldom seen
-)
+MOST_CHANCE = 1e-6  # that bits of chance agree as well with any place on the board: markers read as dots are such bits
+LEAST_EVEN, EVEN = 0.75, (0.5, 1.5)  # share of the dots whose depth is so near the median's; of markers half are
 LEAST_AHEAD = 3.0  # bits, of the best place before the second one
 LEAST_ELSEWHERE = 2.0  # bits, by which a place of the pattern that the board has not must be better, for it to be meant
 MOST_BEYOND = 2  # lines of the lattice beyond the board: clutter that was linked
@@ -137,8 +136,10 @@ def locate(
     the pattern that the board has not agrees better.
     """
     weight = float(np.abs(readings.white).sum())
-    if len(readings.white) == 0 or float(np.median(np.abs(readings.white))) < LEAST_DEPTH:
-        return Decoding(None, "shows no dots on its edges; is it a plain chessboard?", 1)
+    depth = np.abs(readings.white)
+    median = float(np.median(depth)) if len(depth) else 0.0
+    if median < LEAST_DEPTH or np.mean((depth > EVEN[0] * median) & (depth < EVEN[1] * median)) < LEAST_EVEN:
+        return Decoding(None, "shows no dots on its edges; is it another kind of board?", 1)
     ways = [_Way.of(turn, cells, readings, is_bright_first) for turn in TURNS]
     n_bits = ways[0].n_bits
     low, high = np.array(board.start), np.array(board.start) + (board.columns, board.rows)
