@@ -97,7 +97,13 @@ def _finish(grey: ndarray, board: Board, quads: Quads, index: Int[ndarray, "n"],
         text = f"the squares' corners do not lie on a smooth grid ({n_seen} of {board.n_points} do)"
         return not_found(board.n_points, text)
     seen = np.isfinite(points)[:, :1, None]
-    note = "" if n_seen == board.n_points else f"{n_seen} of {board.n_points} corners seen"
+    notes = [] if n_seen == board.n_points else [f"{n_seen} of {board.n_points} corners seen"]
+    if measured.has_other_lengths:
+        wide = "wider" if measured.spread_px > 0 else "narrower"
+        notes.append(
+            f"squares {2 * abs(measured.spread_px):.1f} px {wide} than the SPEC says: are their side and gap right?"
+        )
+    note = "; ".join(notes)
     return FoundBoard(points, np.where(seen, covariance, np.nan), note=note)
 
 

@@ -15,7 +15,7 @@ from binocal.shapes import Float, UInt8
 LEAST_SIDE_PX = 4.0  # in pixels of the scale
 MOST_ASPECT = 6.0  # of the longest side over the shortest: a square tilted by 70 degrees has 3
 LEAST_SINE = 0.3  # of the angle at a corner
-SHARE_FILLED = 0.8, 1.15  # of the quadrilateral, by its component with its holes
+SHARE_FILLED = 0.8, 1.4  # of the quadrilateral between the corners found, which blur rounds to 1.25; a disc fills 1.57
 _ROUND_PX = 0.04  # of the outline's length, that sides leave the outline by
 
 
