@@ -81,6 +81,7 @@ $(VENV)/.core: pyproject.toml constraints.txt $(KERNEL)
 	$(PIP_INSTALL) -e .
 	@touch $@
 
+# The package is there: its name with the extra adds what that needs, and the kernel is not compiled again.
 $(VENV)/.stamp: $(VENV)/.core
-	$(PIP_INSTALL) -e '.[test]'
+	$(PIP_INSTALL) 'binocal[test]'
 	@touch $@

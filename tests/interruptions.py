@@ -55,7 +55,7 @@ def _demo(seed: int) -> tuple[str, ...]:
 VERBS = {
     verb.name: verb
     for verb in (
-        Verb("simulate", _simulate(1, 4), _simulate(2, 3)),
+        Verb("simulate", _simulate(1, 2), _simulate(2, 1)),
         Verb("calibrate", _calibrate("brown5"), _calibrate("brown4")),
         Verb("demo", _demo(1), _demo(2)),
     )

@@ -9,7 +9,7 @@ import pytest
 
 from poisoned_sets import POISONS, rig_of, work
 
-N_SETS, N_WORKERS = 40, 8
+N_SETS, N_WORKERS = 24, 6
 
 
 @pytest.mark.slow

@@ -301,7 +301,7 @@ _KINDS = (
     ),
     FindingKind(
         "not-converged", _R, "The joint solve did not reach a minimum",
-        "the joint solve did not reach a minimum in {n_iterations} iterations; the views may leave parameters undetermined: "
+        "{solver} did not reach a minimum{ended}; the views may leave parameters undetermined: "
         "{remedy}.",
         TILTS, NotConvergedError,
     ),
@@ -649,6 +649,12 @@ _KINDS = (
         "the target's points lie {ratio:.1f} times as far from where they were given as their standard deviations say (RMS), point {worst} "
         "{worst_ratio:.1f} times; {remedy}.",
         "state larger ones (object_sigma_m), or see to the order and the places of the points",
+    ),
+    FindingKind(
+        "points-not-as-given", _W, "The target's points are not where they were given",
+        "the target's points are not where they were given: corners fit to {free_px:.2f} px where the points may move and to "
+        "{given_px:.2f} px where they are held; they move by {rms:.3g} {unit} (RMS), point {worst} by {worst_off:.3g}; {remedy}.",
+        "measure the points again, or state how well they are known (object_sigma_m)",
     ),
     FindingKind(
         "board-scale-uncertain", _W, "The print is off by so much that its scale is in doubt",

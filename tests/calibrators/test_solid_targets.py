@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 
 from binocal import Detections, calibrate, read_detections, write_detections
 from binocal.errors import CalibrationError, DataError
@@ -141,3 +142,33 @@ def test_a_shape_of_a_flat_board_is_refused_and_so_are_sigmas_that_are_none():
         calibrate(Detections.from_arrays(CUBE, left, right, SIZE), model="brown4", board_shape="warp")
     with pytest.raises(ValueError, match="object_sigma_m"):
         Detections.from_arrays(CUBE, left, right, SIZE, object_sigma_m=-1.0)
+
+
+def test_five_points_beside_any_plane_have_a_pose_before_a_known_camera():
+    points = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0.2, 0.2, 0.1], [0.1, 0.05, 0.15]])
+    turns = so3.exp(np.random.default_rng(0).normal(0, 1.5, (8, 3)))
+    poses = SE3(turns, np.array([0.02, -0.01, 1.0]) - turns @ points.mean(axis=0))
+    known = solid_poses("brown4", RIG.left.parameters, points, RIG.left.project(poses.apply(points)))
+    assert known.is_usable.all() and known.rms_px.max() < 1e-3
+    assert np.degrees(so3.angle_rad(known.R @ poses.R.swapaxes(1, 2))).max() < 1e-3
+    few = solid_poses(
+        "brown4", RIG.left.parameters, points[[0, 1, 2, 4]], RIG.left.project(poses.apply(points[[0, 1, 2, 4]]))
+    )
+    assert not few.is_usable.any()  # four leave two poses that are nearly alike
+
+
+def test_points_that_are_not_where_they_were_given_are_named():
+    left, right, _ = look(CUBE, 8, np.random.default_rng(5))
+    longer = calibrate(Detections.from_arrays(CUBE * [1, 1, 1.03], left, right, SIZE), model="brown4", calibrator="lm")
+    (found,) = (found for found in longer.findings if found.code == "points-not-as-given")
+    assert found.figures["free_px"] < 0.15 and found.figures["given_px"] > 0.4
+    assert 0.5 < found.figures["rms"] < 3  # mm; the face is 3 mm too long, shared among all points
+    exact = calibrate(Detections.from_arrays(CUBE, left, right, SIZE), model="brown4", calibrator="lm")
+    assert "points-not-as-given" not in [found.code for found in exact.findings]
+
+
+def test_standard_deviations_of_points_are_one_for_each():
+    left, right, _ = look(CUBE, 3, np.random.default_rng(5))
+    for sigma, told in ((np.ones(5), "one for each of the"), (-0.1, "that of point 0 is -0.1")):
+        with pytest.raises((ValueError, TypeCheckError), match=told if np.ndim(sigma) == 0 else None):
+            Detections.from_arrays(CUBE, left, right, SIZE, object_sigma_m=sigma)

@@ -16,13 +16,14 @@ from binocal.calibrators.summary import joint_problem
 from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.simulation import StereoScene, random_rig, sample_board_poses
-from binocal.solvers.board_shape import ShapeModel, describe_shape, hidden_directions
+from binocal.solvers.board_shape import describe_shape
 from binocal.solvers.board_views import BundleEstimate
 from binocal.solvers.exposures import board_centres, compare_with_cameras_alone
 from binocal.solvers.jackknife import excess_of_scores, shifts_without, student_factor
 from binocal.solvers.joint_system import reduce, solve_symmetric
 from binocal.solvers.minimization import minimize
 from binocal.solvers.real_views import RealViewsEstimate, RealViewsProblem, RealViewsStep
+from binocal.solvers.shape_model import ShapeModel, hidden_directions
 
 BOARD = parse_board("chessboard:9x6:32.5mm")
 NOISE_PX = 0.1

@@ -14,7 +14,7 @@ from binocal.findings import Finding, finding
 from binocal.result import BoardShape, ExposureFit, RejectedView
 from binocal.set_checks.pair_motion import Change, PairMotion
 from binocal.shapes import Float
-from binocal.solvers.board_shape import pitch_of
+from binocal.solvers.shape_model import pitch_of
 
 APART_T = 12.0  # of the relative poses' excess: between grey real sets (below 9) and those not triggered together (11.6 and more)
 CLEARLY_APART_T, CLEARLY_APART_RATIO = 4.0, 1.5  # or less, where the pair fits that much worse than the cameras alone

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from binocal.boards import Board, BoardSet
@@ -47,6 +48,7 @@ def find_corners(
         DataError: The images cannot be used; the error carries what was ignored before.
         CancelledError: ``should_stop`` returned True.
     """
+    from binocal.app.parts_of_boards import expected_corners
     from binocal.datasets.folder import list_pairs
     from binocal.detection import detect_pairs
 
@@ -63,7 +65,8 @@ def find_corners(
         if others:
             return _find_several(pairing.pairs, boards, options, ignored, rig)
         try:
-            found = detect_pairs(pairing.pairs, first, least_pairs=least_pairs, **options)
+            expect = partial(expected_corners, rig=rig) if first.is_marked else None
+            found = detect_pairs(pairing.pairs, first, least_pairs=least_pairs, expect=expect, **options)
         except DetectionError as error:
             if not any(each.code == "several-boards" for each in error.findings):
                 raise

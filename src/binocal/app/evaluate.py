@@ -11,6 +11,7 @@ from numpy import ndarray
 from binocal.app.corners import FoundCorners, find_corners
 from binocal.app.measured import checked_board, scale_as_measured
 from binocal.boards import Board, BoardSet, parse_board
+from binocal.boards.board_set import SEPARATOR
 from binocal.cameras import StereoRig
 from binocal.errors import CalibrationError, DataError, DegenerateGeometryError
 from binocal.evidence import Detections
@@ -239,9 +240,11 @@ def _evaluate_detections(
 
 def _changed_by_hand(calibration: StereoCalibration) -> Finding | None:
     """A rig's file that is not as it was written, as far as it shows: it names its board, or says what shape that has."""
-    shape, spec = calibration.board_shape, calibration.provenance.get("board")
+    shape, spec = calibration.board_shape, str(calibration.provenance.get("board"))
+    if SEPARATOR in spec:
+        return None  # of several boards there is no middle that all views have
     try:
-        points = parse_board(str(spec)).object_points_m if shape is None else shape.points_m
+        points = parse_board(spec).object_points_m if shape is None else shape.points_m
     except ValueError:
         return None
     off = calibration.pose_imbalance(points.mean(axis=0))

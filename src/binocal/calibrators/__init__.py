@@ -29,6 +29,7 @@ from binocal.calibrators.registry import (
 from binocal.errors import CalibrationError, DataError
 from binocal.evidence import Detections
 from binocal.evidence.rectangles import RectanglePairs
+from binocal.evidence.several_boards import boards_from_shot_to_shot
 from binocal.evidence.zoom_settings import ZoomSettings
 from binocal.initialization.solid_targets import MIN_POINTS, SOLID_SHARE, is_solid
 from binocal.result import StereoCalibration
@@ -113,7 +114,7 @@ def calibrate_as_requested(
     request = replace(request, model=model_for(calibrator, request.model))
     _check_model(request.model)
     if isinstance(evidence, Detections) and evidence.shots is not None:
-        request = _of_several_boards(request, evidence.shots)
+        request = _of_several_boards(request, evidence)
     if isinstance(evidence, Detections):
         _check_points(evidence.object_points_m)
     if isinstance(evidence, Detections) and (evidence.object_sigma_m is not None or is_solid(evidence.object_points_m)):
@@ -157,8 +158,10 @@ def calibrate_named_or_best_model(
     return calibration
 
 
-def _of_several_boards(request: CalibrationRequest, shots: tuple[int, ...]) -> CalibrationRequest:
-    """The request with what holds where views are of different boards: each as drawn, and one pair of images is of one moment.
+def _of_several_boards(request: CalibrationRequest, views: Detections) -> CalibrationRequest:
+    """The request with what holds where views are of different boards: one pair of images is of one moment.
+
+    Boards that cannot be told from each other from pair to pair, and those of a single pair, are as drawn.
 
     Raises:
         DataError: A shape was asked for, which different boards do not have in common.
@@ -167,8 +170,9 @@ def _of_several_boards(request: CalibrationRequest, shots: tuple[int, ...]) -> C
         raise DataError(
             f"the views are of several boards, which have no shape in common: the board's shape is auto or flat, not {request.board_shape}."
         )
-    exposure = "together" if request.exposure == "auto" and len(set(shots)) == 1 else request.exposure
-    return replace(request, board_shape="flat", exposure=exposure)
+    exposure = "together" if request.exposure == "auto" and len(set(views.shots or ())) == 1 else request.exposure
+    has_shapes = request.board_shape == "auto" and bool((boards_from_shot_to_shot(views) >= 0).any())
+    return replace(request, board_shape="auto" if has_shapes else "flat", exposure=exposure)
 
 
 def _check_points(points: Float[ndarray, "n 3"]) -> None:

@@ -148,7 +148,7 @@ def _solved(
     exposure = "auto" if were_apart and width == WIDE else "together"
     request = CalibrationRequest(rig.left.model, "left.skew" in covariance.names, prior=prior, exposure=exposure)
     problem, minimum, _, _ = solve_with_misfit(views, request, start, RobustSolver(minimize))
-    solve = solve_as_they_were(problem, minimum, request)
+    solve = solve_as_they_were(problem, minimum, request, replace(views, object_sigma_m=None))
     if not np.isfinite(solve.noise_px) or not solve.minimum.is_converged:
         return None
     return _Solved(width, prior, solve, sum(int(used.sum()) for used in inliers(solve.problem, solve.minimum)))

@@ -16,13 +16,7 @@ from binocal.calibrators.base import BoardShapeChoice, ExposureChoice
 from binocal.set_checks.pair_motion import LEAST_T, PairMotion, measure_freed_motion, measure_pair_motion
 from binocal.shapes import Float, Int
 from binocal.solvers import robust
-from binocal.solvers.board_shape import (
-    ShapeEvidence,
-    ShapeModel,
-    doubt_flatness,
-    estimate_variances,
-    stated_information,
-)
+from binocal.solvers.board_shape import ShapeEvidence, doubt_flatness, estimate_variances
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem
 from binocal.solvers.covariance import inliers
 from binocal.solvers.exposures import (
@@ -46,6 +40,7 @@ from binocal.solvers.real_views import (
     RealViewsProblem,
     cameras_information,
 )
+from binocal.solvers.shape_model import ShapeModel, stated_information
 
 MAX_ROUNDS = 4  # of variances and minimum; the second usually finds nothing to change
 SETTLED_SHARE = 0.1  # of a standard deviation of the offsets, the largest
@@ -81,6 +76,13 @@ class RealViewsSolve:
     motion: PairMotion | None = None
     shape: ShapeEvidence | None = None
     n_iterations: int = 0
+    boards: Int[ndarray, "n"] | None = None
+    """Which board each point is of, -1 for those that are as drawn; None where all are of one."""
+
+    @property
+    def shape_model(self) -> ShapeModel:
+        """How the boards may differ from their drawings."""
+        return ShapeModel.of_points(self.problem.nominal.object_points, self.boards)
 
 
 def solve_real_views(
@@ -90,8 +92,12 @@ def solve_real_views(
     board_shape: BoardShapeChoice = "auto",
     exposure: ExposureChoice = "auto",
     points_sigma_m: Float[ndarray, "n"] | None = None,
+    boards: Int[ndarray, "n"] | None = None,
 ) -> RealViewsSolve:
-    """Free what the data say is not as drawn, from the nominal minimum; and points that are known to a standard deviation only."""
+    """Free what the data say is not as drawn, from the nominal minimum; and points that are known to a standard deviation only.
+
+    ``boards`` says of which board each point is, -1 for those that stay as drawn; None where all are of one.
+    """
     problem = RealViewsProblem(nominal)
     estimate = problem.start(known.estimate)
     at_end = known.equations
@@ -99,10 +105,9 @@ def solve_real_views(
     minimum: RealViewsMinimum = Minimum(
         estimate, equations, known.scale_px, known.kernel, known.n_iterations, known.is_converged, known.options
     )
-    solve = _measured(problem, minimum)
+    solve = replace(_measured(problem, minimum), boards=boards)
     if points_sigma_m is not None:
-        information = stated_information(nominal.object_points, points_sigma_m)
-        solve = _settled_or(solve, _minimized(replace(problem, shape_information=information), solve, FINE, None))
+        solve = with_points_freed(solve, points_sigma_m)
     elif board_shape != "flat" and _can_free(problem, solve, board_shape):
         solve = _settled_or(solve, _with_board_freed(solve, board_shape))
     solve = _with_pair_compared(solve)
@@ -110,6 +115,12 @@ def solve_real_views(
         freed = _settled_or(solve, _with_exposures_freed(solve, board_shape))
         solve = solve if freed is solve else _compared_after(freed)
     return solve
+
+
+def with_points_freed(solve: RealViewsSolve, sigma_m: Float[ndarray, "n"]) -> RealViewsSolve:
+    """The solve with its points free within standard deviations of their coordinates, or as it was where that has no minimum."""
+    information = stated_information(solve.problem.nominal.object_points, sigma_m)
+    return _settled_or(solve, _minimized(replace(solve.problem, shape_information=information), solve, FINE, None))
 
 
 def _settled_or(before: RealViewsSolve, freed: RealViewsSolve) -> RealViewsSolve:
@@ -166,11 +177,15 @@ def _are_apart(solve: RealViewsSolve) -> bool:
 
 def _can_free(problem: RealViewsProblem, solve: RealViewsSolve, board_shape: BoardShapeChoice) -> bool:
     """Whether views and corners suffice to tell the board's shape from all else."""
-    n = problem.nominal.object_points.shape[1]
+    sizes = [problem.nominal.object_points.shape[1]]
+    if solve.boards is not None:
+        sizes = np.bincount(solve.boards[solve.boards >= 0]).tolist()
     n_views = int(solve.reduced.is_determined.sum())
     counts = _n_coordinates(problem, solve.minimum)
-    left = counts - 6 * n_views - solve.reduced.n_shared - (3 * n - 7)
-    is_enough = n >= MIN_POINTS and n_views >= MIN_VIEWS_TO_FREE and left > MIN_FREEDOM_SHARE * counts
+    left = counts - 6 * n_views - solve.reduced.n_shared - sum(3 * n - 7 for n in sizes)
+    is_enough = (
+        min(sizes, default=0) >= MIN_POINTS and n_views >= MIN_VIEWS_TO_FREE and left > MIN_FREEDOM_SHARE * counts
+    )
     return is_enough or board_shape == "warp"
 
 
@@ -181,8 +196,7 @@ def _n_coordinates(problem: RealViewsProblem, minimum: RealViewsMinimum) -> floa
 
 def _with_board_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> RealViewsSolve:
     problem = solve.problem
-    points = problem.nominal.object_points
-    model = ShapeModel.of_points(points)
+    points, model = problem.nominal.object_points, solve.shape_model
     if board_shape in ("warp", "free"):
         information = model.warp_information(points) if board_shape == "warp" else model.weak_information()
         solve = _minimized(replace(problem, shape_information=information), solve, FINE, solve.shape)
@@ -234,7 +248,7 @@ def _first_evidence(solve: RealViewsSolve, model: ShapeModel) -> ShapeEvidence:
     reduced = weak.reduced(minimum.estimate, equations)
     x = solve_symmetric(reduced.information, reduced.gradient)
     rss = equations.rss_px2 - float(x @ reduced.gradient) - float(np.sum(reduced.y**2))
-    fitted = 6 * reduced.is_determined.sum() + reduced.n_shared + len(model.basis) - 7
+    fitted = 6 * reduced.is_determined.sum() + reduced.n_shared + model.basis.shape[1]
     noise_px = float(np.sqrt(max(rss, 0.0) / max(_n_coordinates(weak, minimum) - fitted, 1)))
     return estimate_variances(model, reduced, np.zeros(len(model.basis)), max(noise_px, robust.SCALE_FLOOR_PX))
 
@@ -255,7 +269,7 @@ def _is_settled(before: Float[ndarray, "5"], after: Float[ndarray, "5"], model: 
 
 def _with_exposures_freed(solve: RealViewsSolve, board_shape: BoardShapeChoice) -> RealViewsSolve:
     """The solve with deviations of the right poses; a board that only they had bent is as drawn again."""
-    model = ShapeModel.of_points(solve.problem.nominal.object_points)
+    model = solve.shape_model
     sigma: tuple[float, float] | None = None
     for attempt in range(MAX_ROUNDS):
         before = sigma

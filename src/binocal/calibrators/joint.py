@@ -21,6 +21,7 @@ from binocal.calibrators.summary import joint_problem, plain_lengths2, rig_of, s
 from binocal.errors import CalibrationError, TooFewViewsError
 from binocal.evidence import Detections
 from binocal.evidence.pixel_locking import RigLocking
+from binocal.evidence.several_boards import boards_from_shot_to_shot
 from binocal.findings import Finding, refusal
 from binocal.geometry import SE3
 from binocal.initialization.diagnosis import Diagnosis, diagnose_views
@@ -109,7 +110,7 @@ def calibrate_jointly(
         return checked_as_a_whole(calibration, solve, given, copies, doubts_of_copies)
     request.check_stop()
     nominal = solve_diagnosed(detections, request, minimizer)
-    solve = solve_as_they_were(nominal.problem, nominal.minimum, request, detections.object_sigma_m)
+    solve = solve_as_they_were(nominal.problem, nominal.minimum, request, nominal.views)
     calibration = summarize(
         nominal.views,
         solve,
@@ -208,11 +209,12 @@ def solve_as_they_were(
     problem: BundleProblem,
     minimum: BundleMinimum,
     request: CalibrationRequest,
-    points_sigma_m: Float[np.ndarray, "n"] | None = None,
+    views: Detections,
 ) -> RealViewsSolve:
     """The minimum with board and exposures freed as the request and the data say; exact corners are of an exact board.
 
-    Points that are known to a standard deviation only are freed within it.
+    Points that are known to a standard deviation only are freed within it. Of several boards each has a shape of its own where it
+    is known from pair to pair.
     """
     request.check_stop()
     is_exact = bool(minimum.scale_px <= EXACT_SCALES * robust.SCALE_FLOOR_PX)
@@ -220,7 +222,17 @@ def solve_as_they_were(
     if is_exact:
         board_shape = "flat" if board_shape == "auto" else board_shape
         exposure = "together" if exposure == "auto" else exposure
-    return solve_real_views(problem, minimum, board_shape=board_shape, exposure=exposure, points_sigma_m=points_sigma_m)
+    boards = None if views.shots is None else boards_from_shot_to_shot(views)
+    if boards is not None and not (boards >= 0).any():
+        boards, board_shape = None, "flat"
+    return solve_real_views(
+        problem,
+        minimum,
+        board_shape=board_shape,
+        exposure=exposure,
+        points_sigma_m=views.object_sigma_m,
+        boards=boards,
+    )
 
 
 def _stoppable(minimizer: Minimizer, request: CalibrationRequest) -> Minimizer:
@@ -245,7 +257,7 @@ def _calibrate_clean(
     nominal = solve_clean(detections, request, minimizer)
     if nominal is None:
         return None
-    solve = solve_as_they_were(nominal.problem, nominal.minimum, request, detections.object_sigma_m)
+    solve = solve_as_they_were(nominal.problem, nominal.minimum, request, nominal.views)
     try:
         calibration = summarize(
             detections,

@@ -301,7 +301,7 @@ def _base(detections: Detections, request: CalibrationRequest) -> _Base:
     is_as_given = request.board_shape == "flat" and views.object_sigma_m is None
     if not is_as_given:
         together = replace(request, exposure="together")
-        solve = solve_as_they_were(nominal.problem, nominal.minimum, together, views.object_sigma_m)
+        solve = solve_as_they_were(nominal.problem, nominal.minimum, together, views)
         estimate = solve.minimum.estimate.bundle
         views = replace(views, object_points_m=np.ascontiguousarray(solve.minimum.estimate.points.T))
     return _Base(views, nominal.problem, estimate)

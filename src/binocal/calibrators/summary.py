@@ -13,10 +13,12 @@ from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.board_and_exposures import RealViewsSolve
+from binocal.calibrators.given_points import points_as_given
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.evidence import Detections
 from binocal.findings import Finding, finding, refusal
 from binocal.geometry import SE3
+from binocal.initialization.solid_targets import is_solid
 from binocal.result import (
     BoardShape,
     Covariance,
@@ -29,7 +31,7 @@ from binocal.result import (
     ViewResult,
 )
 from binocal.shapes import Bool, Float, Int
-from binocal.solvers.board_shape import ShapeModel, describe_shape
+from binocal.solvers.board_shape import describe_shape
 from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundleProblem, CameraObservations
 from binocal.solvers.covariance import inliers, real_covariance, shared_names
 from binocal.solvers.joint_system import solve_symmetric
@@ -170,8 +172,11 @@ def _board_shape(solve: RealViewsSolve, widening: float) -> BoardShape | None:
     k = reduced.n_shared
     inverse = solve_symmetric(reduced.information, np.eye(len(reduced.information))[:, k:])[k:]
     covariance = inverse * (solve.noise_px * widening) ** 2
-    figures = describe_shape(nominal, points, covariance)
-    model = ShapeModel.of_points(nominal)
+    model = solve.shape_model
+    figures = max(
+        (describe_shape(nominal[:, board], points[:, board], _of_points(covariance, board)) for board in model.boards),
+        key=lambda of_board: of_board.bow,
+    )
     scale_variance = 0.0 if solve.shape is None else model.scale_variance(nominal, solve.shape.variances)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).reshape(3, -1)
     return BoardShape(
@@ -186,8 +191,17 @@ def _board_shape(solve: RealViewsSolve, widening: float) -> BoardShape | None:
     )
 
 
+def _of_points(covariance: Float[ndarray, "m m"], points: Int[ndarray, "k"]) -> Float[ndarray, "c c"]:
+    """Of some points' coordinates, x of all points first."""
+    n = len(covariance) // 3
+    index = np.concatenate([points, n + points, 2 * n + points])
+    return covariance[np.ix_(index, index)]
+
+
 def _points_findings(solve: RealViewsSolve, shape: BoardShape | None, detections: Detections) -> tuple[Finding, ...]:
     """What there is to say of the points that moved: against what was stated of them, else as those of a flat board."""
+    if detections.object_sigma_m is None and shape is None and is_solid(detections.object_points_m):
+        return points_as_given(solve, detections)
     if detections.object_sigma_m is None or shape is None:
         return _shape_findings(solve, shape, detections.is_metric)
     moved = np.linalg.norm(shape.points_m - detections.object_points_m, axis=1) / np.sqrt(3)
@@ -204,7 +218,7 @@ def _shape_findings(solve: RealViewsSolve, shape: BoardShape | None, is_metric: 
     if shape is None:
         return ()
     nominal = solve.problem.nominal.object_points
-    half = 0.5 * float(np.ptp(nominal, axis=1).max())
+    half = 0.5 * max(float(np.ptp(nominal[:, board], axis=1).max()) for board in solve.shape_model.boards)
     is_bent = shape.bow_m > SURE_SIGMAS * shape.bow_sigma_m
     is_stretched = abs(shape.stretch) > SURE_SIGMAS * shape.stretch_sigma
     moved = max(shape.bow_m if is_bent else 0.0, abs(shape.stretch) * half if is_stretched else 0.0)

@@ -14,7 +14,7 @@ from binocal.detection.charuco import Layout
 from binocal.detection.chessboard import detect_chessboard
 from binocal.detection.found import FoundBoard, not_found
 from binocal.images.reading import to_grey
-from binocal.shapes import Float32, Int, UInt8
+from binocal.shapes import Float, Float32, Int, UInt8
 
 MIN_SIDE_PX = 32
 BLANK_DN = 6.0  # of 255 after stretching at most fourfold
@@ -34,9 +34,14 @@ def detect(image: ndarray, board: Board) -> FoundBoard:
 
 
 def detect_in_layout(
-    image: ndarray, board: Board, layout: Layout | TagLayout | None
+    image: ndarray,
+    board: Board,
+    layout: Layout | TagLayout | None,
+    expected_px: Float[ndarray, "n 2"] | None = None,
 ) -> tuple[FoundBoard, Layout | TagLayout | None]:
     """As :func:`detect`, with a marker board's layout given (None: from the image), and the one the image proves.
+
+    ``expected_px`` is where a marked chessboard's corners must be, where that is known: a part without its marks is named by it.
 
     Raises:
         ValueError: The array is not an image.
@@ -44,7 +49,7 @@ def detect_in_layout(
     grey = to_grey(image)
     if min(grey.shape) < MIN_SIDE_PX:
         return not_found(board.n_points, f"the image is only {grey.shape[1]}x{grey.shape[0]} pixels"), None
-    found, proved = _detect_kind(grey, board, layout)
+    found, proved = _detect_kind(grey, board, layout, expected_px)
     if not found.is_found and (share := saturated_share(grey)) > MUCH_SATURATED:
         text = f"{found.reason} ({100 * share:.0f} % of the image is saturated: overexposed?)"
         found = replace(found, reason=text)
@@ -52,7 +57,10 @@ def detect_in_layout(
 
 
 def _detect_kind(
-    grey: ndarray, board: Board, layout: Layout | TagLayout | None
+    grey: ndarray,
+    board: Board,
+    layout: Layout | TagLayout | None,
+    expected_px: Float[ndarray, "n 2"] | None,
 ) -> tuple[FoundBoard, Layout | TagLayout | None]:
     stretched, problem = stretch_8_bit(grey)
     if problem:
@@ -77,7 +85,7 @@ def _detect_kind(
     if board.is_marked:
         from binocal.detection.chessboard.marked import detect_marked_chessboard
 
-        return detect_marked_chessboard(grey, stretched, board), None
+        return detect_marked_chessboard(grey, stretched, board, expected_px), None
     return detect_chessboard(grey, stretched, board), None
 
 

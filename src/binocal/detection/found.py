@@ -32,6 +32,8 @@ class FoundBoard(ArrayValue):
     """Whether a chessboard was not taken for the board because its bright squares hold patterns, as a ChArUco board's do."""
     is_among_several: bool = False
     """Whether the board was not found because several boards are seen, and which is meant cannot be known."""
+    is_unnamed: bool = False
+    """Whether corners like the board's are seen, and nothing in the image tells which of them they are."""
 
     def __post_init__(self) -> None:
         for name in ("points_px", "covariance_px2", "cross_covariance_px2"):

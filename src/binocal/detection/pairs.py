@@ -6,7 +6,7 @@ import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,12 +25,15 @@ from binocal.evidence import Detections
 from binocal.images.opencv_settings import single_threaded_opencv
 from binocal.images.preprocessing import Preparation
 from binocal.result import RejectedView
+from binocal.shapes import Float
 
 MIN_SHARE_OF_ONE_SIZE = 0.75  # of a camera's images; with fewer it is not clear which size the camera has
 MIN_PAIRS = 3  # of a calibration: with fewer, images that are not read of files with several are what is missing
 MOST_NAMES = 6  # of views in one note
 _SIDES = ("left", "right")
 Image = TypeVar("Image")
+Expect = Callable[[Detections, Sequence[tuple[int, str]]], Sequence["Float[ndarray, 'n 2'] | None"]]
+"""From the views so far, and views with the camera whose part has no names, to where its corners must be: None or NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +75,12 @@ def detect_pairs(
     should_stop: Callable[[], bool] | None = None,
     n_threads: int | None = None,
     least_pairs: int = 0,
+    expect: Expect | None = None,
 ) -> PairDetections:
     """The board in every image of every pair; in both images of ``least_pairs`` pairs, if so many are given.
+
+    ``expect`` says where the board's corners must be in an image that shows a part of it which nothing in the image names, from
+    the views so far and the other camera's corners: the part is named by that.
 
     A view that one camera saw is kept, with NaN for the other camera. An unreadable image, or one of another size
     than the rest of its camera's, rejects its view. ``progress`` is called with images done and images in all,
@@ -99,22 +106,42 @@ def detect_pairs(
     if pages and len(pairs) < MIN_PAIRS:
         raise DataError(f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of images: {pages[0]}")
     if not any(image.found for image in seen):
-        problems = {image.path.name: image.problem for image in seen}
-        raise DataError(f"none of the {len(seen)} images can be read; {next(iter(problems.values()))}")
+        raise DataError(f"none of the {len(seen)} images can be used; {seen[0].path.name} {seen[0].problem}")
     looked = [LookedAt(_SIDES[i % 2], image.path, image.found, image.problem) for i, image in enumerate(seen)]
     require_board(looked, board, least_pairs)
     sizes = {side: common_size(side, images) for side, images in sides.items()}
     kept, rejected, notes = _sort_views(pairs, sides, sizes)
-    notes = [*pages, *notes]
     if not kept:
         raise DetectionError(_one_line("no view is usable", rejected), {view.name: view.reason for view in rejected})
+    detections = _detections_of(pairs, board, sides, kept, sizes)
+    if expect is not None and (unnamed := _unnamed_parts(sides, kept)):
+        sides = _with_parts_named(sides, kept, unnamed, expect(detections, unnamed), look)
+        kept, rejected, notes = _sort_views(pairs, sides, sizes)
+        detections = _detections_of(pairs, board, sides, kept, sizes)
+    notes = [*pages, *notes]
     if sizes["left"] != sizes["right"]:
         notes.append("left images are {}x{}, right ones {}x{}".format(*sizes["left"], *sizes["right"]))
+    return PairDetections(
+        detections,
+        tuple(rejected),
+        tuple(notes),
+        {side: digest_of(images) for side, images in sides.items()},
+    )
+
+
+def _detections_of(
+    pairs: Sequence[ImagePair],
+    board: Board,
+    sides: Mapping[str, Sequence[_Seen]],
+    kept: Sequence[int],
+    sizes: Mapping[str, tuple[int, int]],
+) -> Detections:
+    """The corners of the views that are kept."""
     points = {side: np.stack([_points(sides[side][i], board) for i in kept]) for side in _SIDES}
     covariances = {side: np.stack([_covariance(sides[side][i], board) for i in kept]) for side in _SIDES}
     cross = {side: np.stack([_cross_covariance(sides[side][i], board) for i in kept]) for side in _SIDES}
     shares_pixels = any(bool(np.nan_to_num(of_side).any()) for of_side in cross.values())
-    detections = Detections(
+    return Detections(
         board.object_points_m,
         points["left"],
         points["right"],
@@ -127,12 +154,37 @@ def detect_pairs(
         left_cross_covariance_px2=cross["left"] if shares_pixels else None,
         right_cross_covariance_px2=cross["right"] if shares_pixels else None,
     )
-    return PairDetections(
-        detections,
-        tuple(rejected),
-        tuple(notes),
-        {side: digest_of(images) for side, images in sides.items()},
-    )
+
+
+def _unnamed_parts(sides: Mapping[str, Sequence[_Seen]], kept: Sequence[int]) -> list[tuple[int, str]]:
+    """Views, in the order in which they are kept, and the camera that shows a part of the board without what names it."""
+    return [
+        (view, side)
+        for view, i in enumerate(kept)
+        for side in _SIDES
+        if (found := sides[side][i].found) is not None and found.is_unnamed
+    ]
+
+
+def _with_parts_named(
+    sides: Mapping[str, list[_Seen]],
+    kept: Sequence[int],
+    unnamed: Sequence[tuple[int, str]],
+    expected_px: Sequence[Float[ndarray, "n 2"] | None],
+    look: Callable[..., _Seen],
+) -> dict[str, list[_Seen]]:
+    """What was seen, with the parts that lie where they are expected."""
+    named = {side: list(images) for side, images in sides.items()}
+    for (view, side), px in zip(unnamed, expected_px, strict=True):
+        image = sides[side][kept[view]]
+        if px is None:
+            continue
+        again = look(image.path, expected_px=px)
+        if again.found is not None and again.found.is_found:
+            other = _SIDES[side == "left"]
+            note = "; ".join(text for text in (again.found.note, f"named by the {other} camera's corners") if text)
+            named[side][kept[view]] = replace(again, found=replace(again.found, note=note))
+    return named
 
 
 def look_at_all(
@@ -163,12 +215,19 @@ def look_at_all(
     return [result for result in results if result is not None]
 
 
-def _detect_one(path: Path, *, board: Board, preparation: Preparation, layout: Any = None) -> _Seen:
+def _detect_one(
+    path: Path,
+    *,
+    board: Board,
+    preparation: Preparation,
+    layout: Any = None,
+    expected_px: Float[ndarray, "n 2"] | None = None,
+) -> _Seen:
     try:
         image = preparation.read(path)
     except FormatError as error:
         return _Seen(path, problem=str(error.problem))
-    found, proved = detect_in_layout(image.grey, board, layout)
+    found, proved = detect_in_layout(image.grey, board, layout, expected_px)
     size_wh = image.grey.shape[1], image.grey.shape[0]
     return _Seen(path, size_wh, sha256=image.sha256, n_pages=image.n_pages, found=found, layout=proved)
 
@@ -204,7 +263,7 @@ def common_size(side: str, images: Sequence[ReadImage]) -> tuple[int, int]:
     sizes = Counter(image.size_wh for image in images if image.size_wh is not None)
     if not sizes:
         raise DataError(
-            f"none of the {len(images)} {side} images can be read; {images[0].path.name} {images[0].problem}"
+            f"none of the {len(images)} {side} images can be used; {images[0].path.name} {images[0].problem}"
         )
     ranked = sizes.most_common()
     size, count = ranked[0]

@@ -63,8 +63,11 @@ class Detections(ArrayValue):
         if self.object_sigma_m is not None:
             sigma = frozen_array(self.object_sigma_m)
             object.__setattr__(self, "object_sigma_m", sigma)
-            if sigma.shape != (len(points),) or not np.all(np.isfinite(sigma) & (sigma >= 0)):
-                raise ValueError(f"object_sigma_m must be {(len(points),)}, finite and 0 or more; got {sigma.shape}")
+            if sigma.shape != (len(points),):
+                raise ValueError(f"object_sigma_m must be one for each of the {len(points)} points; got {sigma.shape}")
+            if not np.all(np.isfinite(sigma) & (sigma >= 0)):
+                at = int(np.argmin(np.isfinite(sigma) & (sigma >= 0)))
+                raise ValueError(f"object_sigma_m must be finite and 0 or more; that of point {at} is {sigma[at]}")
         if (
             left.ndim != 3
             or right.ndim != 3
@@ -158,7 +161,7 @@ class Detections(ArrayValue):
             left_covariance_px2,
             right_covariance_px2,
             board_spec,
-            object_sigma_m=None if object_sigma_m is None else np.broadcast_to(object_sigma_m, len(object_points_m)),
+            object_sigma_m=None if object_sigma_m is None else _for_each_point(object_sigma_m, len(object_points_m)),
         )
 
     def __repr__(self) -> str:
@@ -208,3 +211,9 @@ class Detections(ArrayValue):
                     array[view] = array[view][order]
                 changed[name] = array
         return replace(self, **changed) if changed else self
+
+
+def _for_each_point(sigma_m: Float[ndarray, "n"] | float, n: int) -> Float[ndarray, "m"]:
+    """One number for all points is that of each."""
+    sigma = np.asarray(sigma_m, dtype=float)
+    return np.full(n, float(sigma)) if sigma.ndim == 0 else sigma

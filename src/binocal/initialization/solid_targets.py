@@ -21,6 +21,9 @@ from binocal.shapes import Bool, Float
 SOLID_SHARE = 0.02  # least over largest extent of the points: boards that bow reach 0.01
 MIN_POINTS = 6  # not in one plane: 11 unknowns of a projection, two equations a point
 MIN_PLANE_POINTS = 4
+MIN_SPACE_POINTS = 5  # beside any plane, before a known camera: ten equations for the pose's six unknowns
+FEW_POINTS = 8  # fewer determine a projection poorly: orientations are tried,
+N_REFINED = 6  # and the best of them refined
 _ROUNDS = 3  # of lens and poses in turn
 _REFINEMENTS = 8
 _MIN_COSINE = 0.08  # of a ray from the mean of its view's, as for boards
@@ -59,10 +62,12 @@ class SolidCamera:
 
 def is_solid(points: Float[ndarray, "n 3"]) -> bool:
     """Whether points lie clearly beside every plane."""
-    if len(points) < MIN_POINTS:
-        return False
+    return len(points) >= MIN_POINTS and _is_beside_planes(points)
+
+
+def _is_beside_planes(points: Float[ndarray, "n 3"]) -> bool:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[2] > SOLID_SHARE * spread[0])
+    return len(spread) == 3 and bool(spread[2] > SOLID_SHARE * spread[0])
 
 
 def estimate_solid_camera(
@@ -114,10 +119,12 @@ def solid_poses(
     project = camera_model(model).project
     for view, of_view in enumerate(rays):
         seen = np.isfinite(of_view).all(axis=1)
-        if is_solid(points[seen]):
+        if not _is_beside_planes(points[seen]):
+            pose = _pose_of_plane(model, parameters, points[seen], px[view, seen])
+        elif seen.sum() >= MIN_SPACE_POINTS:
             pose = _pose_of_solid(points[seen], of_view[seen])
         else:
-            pose = _pose_of_plane(model, parameters, points[seen], px[view, seen])
+            pose = None
         if pose is None:
             continue
         with np.errstate(all="ignore"):
@@ -159,11 +166,42 @@ def _pose_of_solid(points: Float[ndarray, "n 3"], rays: Float[ndarray, "n 3"]) -
     if not (turned[:, 2] > _MIN_COSINE).all():
         return None
     uv = turned[:, :2] / turned[:, 2:]
-    P = _projection(points, uv)
-    if P is None or not np.linalg.det(P[:, :3]) > 0:
-        return None
-    scale = np.cbrt(np.linalg.det(P[:, :3]))
-    return _refined(points, uv, so3.project_to_rotation(P[:, :3] / scale), P[:, 3] / scale, turn)
+    P = _projection(points, uv) if len(points) >= MIN_POINTS else None
+    starts = []
+    if P is not None and np.linalg.det(P[:, :3]) > 0:
+        scale = np.cbrt(np.linalg.det(P[:, :3]))
+        starts.append((so3.project_to_rotation(P[:, :3] / scale), P[:, 3] / scale))
+
+    def off2(R: Float[ndarray, "3 3"], t: Float[ndarray, "3"]) -> float:
+        x, y, z = R @ points.T + t[:, None]
+        off = np.square(x / z - uv[:, 0]) + np.square(y / z - uv[:, 1])
+        return float(off.sum()) if (z > 0).all() else np.inf
+
+    if len(points) < FEW_POINTS:
+        rough = [(R, _nearest_translation(R @ points.T, uv)) for R in _ORIENTATIONS]
+        starts += sorted(rough, key=lambda pose: off2(*pose))[:N_REFINED]
+    found = [pose for R, t in starts if (pose := _refined(points, uv, R, t, turn)) is not None]
+    return min(found, key=lambda pose: off2(turn @ pose.R, turn @ pose.t), default=None)
+
+
+def _nearest_translation(turned: Float[ndarray, "3 n"], uv: Float[ndarray, "n 2"]) -> Float[ndarray, "3"]:
+    """That puts turned points nearest to their rays, by the linear equations of the image plane."""
+    rows = np.zeros((2, turned.shape[1], 3))
+    rows[0, :, 0] = rows[1, :, 1] = 1.0
+    rows[:, :, 2] = -uv.T
+    right = uv.T * turned[2] - turned[:2]
+    return np.linalg.lstsq(rows.reshape(-1, 3), right.ravel(), rcond=None)[0]
+
+
+def _orientations() -> Float[ndarray, "24 3 3"]:
+    """The turns of a cube: no other turn is farther than 63 degrees from one of them."""
+    signs = np.stack(np.meshgrid([1, -1], [1, -1], [1, -1]), axis=-1).reshape(-1, 3)
+    swaps = [np.eye(3)[list(order)] for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (1, 0, 2), (2, 1, 0))]
+    turns = [sign[:, None] * swap for sign in signs for swap in swaps]
+    return np.array([R for R in turns if np.linalg.det(R) > 0])
+
+
+_ORIENTATIONS = _orientations()
 
 
 def _pose_of_plane(

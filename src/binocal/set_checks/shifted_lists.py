@@ -9,9 +9,9 @@ from numpy import ndarray
 
 from binocal.geometry import SE3
 from binocal.shapes import Float, Int
-from binocal.solvers.board_shape import pitch_of
 from binocal.solvers.board_views import BundleEstimate, BundleProblem
 from binocal.solvers.minimization import LoopOptions, minimize
+from binocal.solvers.shape_model import pitch_of
 
 REPAIRED_SHARE = 0.7  # of the noise as given: true shifts leave 0.01 to 0.7, other causes 0.8 and more
 MIN_CORNERS_SHARE = 0.3  # of the board, that must be left once a row or column is gone

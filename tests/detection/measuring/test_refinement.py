@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -73,3 +74,19 @@ def test_no_corner_of_a_window_that_holds_markers_is_taken(shoot):
     points, _, _ = measure_corners(shot.image, shot.corners_px + 0.3, places, reach, 0.133 * reach, per_reach=0.12)
     off = np.linalg.norm(points - shot.corners_px, axis=1)
     assert np.isfinite(off).sum() >= 25 and np.nanmax(off) < 0.1  # measured 28 corners, 0.04 px
+
+
+def test_a_corner_that_the_border_cuts_is_not_taken_from_its_edge():
+    """The last row lies 5 px from the border; from 15 px aside cornerSubPix ends on an edge, 25 px off."""
+    x, y = np.meshgrid(np.arange(2560) / 4, np.arange(1920) / 4)
+    light = np.where(np.sin(np.pi * (x - 37) / 80) * np.sin(np.pi * (y - 74) / 80) > 0, 210.0, 40.0)
+    image = cv2.resize(cv2.GaussianBlur(light, (0, 0), 3.2), (640, 480), interpolation=cv2.INTER_AREA)
+    image = np.clip(image + np.random.default_rng(0).normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+    place = np.stack(np.meshgrid(np.arange(7.0), np.arange(6.0)), axis=-1).reshape(-1, 2)
+    corners, board = 80 * place + [117, 74], BoardPlaces(0.08 * place, 0.08)
+    start = corners - np.where(np.arange(42) == 39, 15, 0)[:, None] * [0, 1]
+    for may_be_cut in (False, True):
+        found, _, _ = measure_corners(image, start, board, np.full(42, 80.0), may_be_cut=may_be_cut)
+        off = np.linalg.norm(found - corners, axis=1)
+        assert off[39] > 20 if not may_be_cut else np.isnan(off[39])
+        assert np.delete(off, 39).max() < 1.0

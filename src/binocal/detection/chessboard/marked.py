@@ -6,7 +6,7 @@ there it grows over what else is seen of the board.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
@@ -20,6 +20,7 @@ from binocal.detection.finding.crossings import (
     points_at,
     steps_at,
 )
+from binocal.detection.finding.expected_places import place_near
 from binocal.detection.finding.groups import CornerGroup, link_corners
 from binocal.detection.finding.lattice import MIN_CORNERS
 from binocal.detection.finding.marked_squares import Placement, fits_board, place_board, read_squares
@@ -63,15 +64,25 @@ class _Refusal:
     rank: int = 0
     text: str = "no chessboard found"
 
+    def not_found(self, n_points: int) -> FoundBoard:
+        """What is told of the image."""
+        return replace(not_found(n_points, self.text), is_unnamed=self.rank in (1, 2))
+
     def consider(self, rank: int, text: str) -> None:
         if rank > self.rank:
             self.rank, self.text = rank, text
 
 
-def detect_marked_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board) -> FoundBoard:
+def detect_marked_chessboard(
+    grey: ndarray,
+    image: UInt8[ndarray, "h w"],
+    board: Board,
+    expected_px: Float[ndarray, "n 2"] | None = None,
+) -> FoundBoard:
     """The inner corners of a chessboard with marked squares, partly visible or not; ``image`` is ``grey`` stretched to 8 bits.
 
-    Where the marks are not seen, or leave open which part of the board is, nothing is found.
+    Where the marks are not seen, or leave open which part of the board is, its corners are named by where they are expected
+    (NaN: unknown), to a quarter of a square; where nothing is expected, or something else, nothing is found.
     """
     grid = marked_grid(board)
     size_wh = image.shape[1], image.shape[0]
@@ -82,14 +93,14 @@ def detect_marked_chessboard(grey: ndarray, image: UInt8[ndarray, "h w"], board:
         corners, peaks = find_saddles(saddles, most=most)
         level = saddles, scale, peaks
         if sighting is None:
-            sighting = _recognise(image, board, saddles, corners, scale, refusal)
+            sighting = _recognise(image, board, expected_px, (saddles, corners, scale), refusal)
             if sighting is None:
                 continue
         _grow(sighting, grid, board, level, size_wh)
         n_known = int(np.isfinite(sighting.known_px[..., 0]).sum())
         if n_known >= ENOUGH_SHARE * count_visible(grid, sighting.known_px, sighting.lens, size_wh):
             break
-    return not_found(board.n_points, refusal.text) if sighting is None else _measure(grey, board, grid, sighting)
+    return refusal.not_found(board.n_points) if sighting is None else _measure(grey, board, grid, sighting)
 
 
 def _level_settings(halvings: int) -> list[LevelSetting]:
@@ -100,12 +111,12 @@ def _level_settings(halvings: int) -> list[LevelSetting]:
 def _recognise(
     image: UInt8[ndarray, "h w"],
     board: Board,
-    saddles: SaddleImage,
-    corners: XCorners,
-    scale: float,
+    expected_px: Float[ndarray, "n 2"] | None,
+    seen: tuple[SaddleImage, XCorners, float],
     refusal: _Refusal,
 ) -> _Sighting | None:
-    """The lattice whose squares are marked as the board's; None, and why, where there is none."""
+    """The lattice whose squares are marked as the board's, or lies where its corners must; None, and why, where there is none."""
+    saddles, corners, scale = seen
     for group in link_corners(saddles, corners)[:MOST_GROUPS]:
         if len(group) < MIN_CORNERS:
             break
@@ -118,6 +129,11 @@ def _recognise(
         placements = place_board(board, grid_px, read_squares(image, grid_px))
         if len(placements) == 1 and fits_board(placements[0], len(group)):
             return _as_sighting(board, grid_px, placements[0], _is_bright_first(group, cells))
+        if expected_px is not None:
+            for placement in place_near(board, grid_px, expected_px):
+                sighting = _as_sighting(board, grid_px, placement, _is_bright_first(group, cells))
+                if not sighting.is_inverted and fits_board(placement, len(group)):  # else off by a square
+                    return sighting
         _explain(refusal, board, placements, (int(columns), int(rows)))
     return None
 
@@ -177,7 +193,7 @@ def _measure(grey: ndarray, board: Board, grid: MarkerGrid, sighting: _Sighting)
     spacing, height = steps_at(grid, sighting.known_px, sighting.lens, board.n_points)
     reach = np.where(_are_at_discs(board), REACH_AT_DISC, 1.0) * height
     places = BoardPlaces(board.object_points_m[:, :2], board.pitch_m)
-    points, covariance, cross = measure_corners(grey, rough, places, reach)
+    points, covariance, cross = measure_corners(grey, rough, places, reach, may_be_cut=True)
     points = points.copy()
     sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
     points[(np.linalg.norm(points - rough, axis=1) > MAX_MOVE * spacing) | (sigma > MOST_SIGMA_PX)] = np.nan

@@ -29,7 +29,7 @@ LEAST_AGREEING = (
     2  # marks in view, of several: of three in a corner two leave two ways, and the rest of the board refutes one
 )
 LEAST_OUTSIDE, LEAST_OUTSIDE_SHARE = 3, 0.06  # for a way to lay the board to be refuted
-_TURNS = [np.array(turn) for turn in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]])]
+TURNS = [np.array(turn) for turn in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]])]
 
 N_MIDDLE, N_AROUND = 4, 8
 
@@ -180,7 +180,7 @@ def place_board(board: Board, grid_px: Float[ndarray, "rows columns 2"], reading
     found: dict[tuple[int, ...], tuple[int, Placement]] = {}
     for square, is_marked in marks:
         for row, column in np.argwhere(is_marked):
-            for turn in _TURNS:
+            for turn in TURNS:
                 # Twice the middles of squares, in corners: that of the square (0, 0) is at (-1, -1).
                 shift = ((2 * np.array(square) - 1) - turn @ (2 * np.array([column, row]) + 1)) // 2
                 places = ((2 * squares - 1 - 2 * shift) @ turn - 1) // 2  # the turn's inverse is its transpose

@@ -37,6 +37,7 @@ def measure_corners(
     strip_px: Float[ndarray, "n"] | None = None,
     *,
     per_reach: float = WINDOW_PER_SPACING,
+    may_be_cut: bool = False,
 ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, "n 2 2"], Float[ndarray, "n 2 2"]]:
     """Corners, covariances and cross-covariances by the maximum-likelihood fit, from starts within some pixels.
 
@@ -47,6 +48,7 @@ def measure_corners(
     that fails too (squares hardly wider than the blur) cornerSubPix's corner is taken, with its own, larger, covariance;
     but not where ``strip_px`` bounds what is printed beside it and the paper is burnt out, which spreads one over the other, or
     where nearly all others of the image are fitted: what hides such a corner in part, a hand or a marker, moves cornerSubPix's too.
+    So does the image's border, which cuts corners of boards that ``may_be_cut``: off by up to 13 px, with a sigma of 0.03.
     A corner whose surroundings contradict the model (covered, glare) is NaN.
     """
     fitted = fit_corners(grey, points_px, reach_px, strip_px, board=board)
@@ -65,8 +67,9 @@ def measure_corners(
         is_plain &= ~_are_burnt_out(grey, again, reach_px, per_reach)
         # Its least window reaches into the markers of squares of 10 px: off by 0.2 to 0.9 px there, with a sigma of 0.08.
         is_plain &= ~(per_reach * reach_px < LEAST_HALF_WINDOW_PX)
-        if is_plain.sum() < LEAST_UNFITTED_SHARE * (is_plain.sum() + np.isfinite(fitted.misfit).sum()):
-            is_plain[:] = False
+    n_fitted = int(np.isfinite(fitted.misfit).sum())
+    if (strip_px is not None or may_be_cut) and is_plain.sum() < LEAST_UNFITTED_SHARE * (is_plain.sum() + n_fitted):
+        is_plain[:] = False
     if is_plain.any():
         points[is_plain] = again[is_plain]
         covariance[is_plain] = corner_covariance(grey, again, reach_px, per_spacing=per_reach)[is_plain]
