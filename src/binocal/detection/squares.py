@@ -24,7 +24,7 @@ _LEVELS = (
     (2, True, LARGE_BLOCKS), (2, False, LARGE_BLOCKS),
 )  # fmt: skip
 N_FOR_LENS = 6  # squares: such grids are small, and clutter that is four-sided is rarer than round spots
-LEAST_OF_UNKNOWN = 9  # squares of a grid of which nothing is known
+LEAST_OF_UNKNOWN = 9  # squares of a grid that is not the board: fewer are found in clutter
 MOST_OFF = 0.3  # of a square's shortest side, that its corners may be from where the squares' middles put them
 
 
@@ -54,7 +54,7 @@ def detect_squares(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
                 refused = refused or found
                 continue
             (columns, rows), n_seen = measure_lattice(lattice, quads.centres_px, "circles")
-            if min(columns, rows) < 2 or n_seen < (1 - MAX_SHARE_MISSING) * columns * rows:
+            if min(columns, rows) < 2 or n_seen < max(LEAST_OF_UNKNOWN, (1 - MAX_SHARE_MISSING) * columns * rows):
                 continue  # a chance lattice of the clutter
             if best is None or n_seen > best[0]:
                 best = n_seen, (max(columns, rows), min(columns, rows))
