@@ -301,7 +301,7 @@ _KINDS = (
     ),
     FindingKind(
         "not-converged", _R, "The joint solve did not reach a minimum",
-        "the joint solve did not reach a minimum in {n_iterations} iterations; the views may leave parameters undetermined: "
+        "{solver} did not reach a minimum{ended}; the views may leave parameters undetermined: "
         "{remedy}.",
         TILTS, NotConvergedError,
     ),

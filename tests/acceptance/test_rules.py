@@ -190,6 +190,9 @@ def test_a_solve_that_did_not_converge_is_no_result(sound):
     with pytest.raises(NotConvergedError, match="did not reach a minimum") as caught:
         acceptance.apply_rules(sound, is_converged=False)
     assert caught.value.findings[0].code == "not-converged"
+    cv2s = replace(sound, n_iterations=0)
+    with pytest.raises(NotConvergedError, match=r"^cv2 did not reach a minimum; the views .* undetermined: use lm\.$"):
+        acceptance.apply_rules(cv2s, is_converged=False, solver="cv2", else_use="use lm")
 
 
 def held_still(calibration, turn_deg, move_px):

@@ -174,8 +174,10 @@ def test_input_that_does_not_suit_is_named():
     two = replace(given, detections=(given.detections[0].select(np.arange(2)), *given.detections[1:]))
     with pytest.raises(CalibrationError, match="zoom setting 0: 2 usable views, 3 needed"):
         binocal.calibrate(two, calibrator="zoom", model="brown4")
-    with pytest.raises(DataError, match=r"zoom setting 0.25 is not above"):
+    with pytest.raises(DataError, match=r"zoom setting 0.25 is given twice \(sets 2 and 3\)"):
         ZoomSettings(np.array([0, 0.25, 0.25, 0.5, 1.0]), given.detections)
+    turned = ZoomSettings(given.settings[::-1], given.detections[::-1])
+    assert np.array_equal(turned.settings, given.settings) and turned.detections == given.detections
     other = replace(given.detections[3], left_size_wh=(640, 480))
     with pytest.raises(DataError, match=r"left image size differs between zoom setting 0 .* and 0.75"):
         ZoomSettings(given.settings, (*given.detections[:3], other, given.detections[4]))
@@ -192,6 +194,7 @@ def test_input_that_does_not_suit_is_named():
         ("setting,left,right\n1,a,b\nwide,a,b\n", "line 3: the setting 'wide' is not a finite number"),
         ("setting,left,right\nnan,a,b\n", "line 2: the setting 'nan'"),
         ("setting,left,right\n1,,b\n", "line 2: a side has no images"),
+        ("setting,left,right\n2,a,b\n1,c,d\n2.0,e,f\n", "line 4: zoom setting 2 stands on line 2 already"),
     ],
 )
 def test_lists_of_settings_that_are_none(tmp_path, text, said):

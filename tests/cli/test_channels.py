@@ -70,7 +70,8 @@ def test_images_without_colours_are_refused_by_name(tmp_path, folder, capsys):
             grey = cv2.imread(str(folder / f"{side}_0{i}.png"), cv2.IMREAD_GRAYSCALE)
             cv2.imwrite(str(tmp_path / f"{side}_{i}.png"), grey)
     assert main(["channels", *images(tmp_path)]) == 3
-    assert "has no colours" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "images can be used; left_0.png has no colours, so it has no green channel; give colour images" in said
     for path in tmp_path.glob("*.png"):
         cv2.imwrite(str(path), cv2.cvtColor(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), cv2.COLOR_GRAY2BGR))
     assert main(["channels", *images(tmp_path)]) == 3

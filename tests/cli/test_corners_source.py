@@ -24,6 +24,7 @@ def test_rectangles_from_the_simulator_to_the_rig(turned, tmp_path, capsys):
     assert main([str(a) for a in arguments]) == 0
     document = json.loads(capsys.readouterr().out)
     assert len(document["provenance"]["rectangles"]["pairs"]) == 4
+    assert "Board" not in [line["name"] for line in document["checks"]]  # there is none
     assert main(["evaluate", str(tmp_path / "rig.json"), "--truth", str(turned / "truth.json"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rotation_error_deg"] < 0.15  # 0.03 measured
 

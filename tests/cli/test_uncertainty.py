@@ -76,6 +76,18 @@ def test_an_older_file_says_what_it_does_not_hold(rig_path, tmp_path, capsys):
     assert "no projection uncertainty" in text and "calibrate anew" in text
 
 
+@pytest.mark.parametrize(("calibrator", "why"), [("rectangles", "no board was seen"), ("zoom", "lm and drl do")])
+def test_a_fresh_file_without_board_poses_is_not_called_old(rig_path, tmp_path, capsys, calibrator, why):
+    document = json.loads(Path(rig_path).read_text(encoding="utf-8"))
+    del document["mean_board_pose"]
+    document["provenance"] = {**document.get("provenance", {}), "calibrator": calibrator}
+    path = tmp_path / "fresh.json"
+    path.write_text(json.dumps(document))
+    assert main(["uncertainty", str(path), "--range", "1m"]) == 0
+    text = capsys.readouterr().out
+    assert why in text and "calibrate anew" not in text
+
+
 def test_a_file_without_a_calibration_is_named_as_such(rig_path, tmp_path, capsys):
     from binocal.formats.opencv_yaml import write_opencv
 

@@ -28,7 +28,19 @@ def test_marks_tell_a_turned_board_and_a_mirrored_image(shoot):
     assert "mirrored" in detect(np.ascontiguousarray(shot.image[:, ::-1]), shot.board).reason
 
 
-def test_without_all_marks_in_view_nothing_is_named(shoot):
+@pytest.mark.parametrize("style", ["large", "hollow"])
+@pytest.mark.parametrize(("way", "n_marks"), [((-0.42, -0.05), 2), ((-0.3, -0.3), 1)])
+def test_with_marks_out_of_view_the_boards_edges_name_the_rest(shoot, style, way, n_marks):
+    shot = shoot(f"circles:11x9:30mm:{style}", (0.2, 0.3, 0.4), 0.95, way)
+    is_in_view = np.isfinite(shot.corners_px[:, 0])
+    assert is_in_view[list(shot.board.marked_points)].sum() == n_marks
+    found = detect(shot.image, shot.board)
+    assert found.is_found, found.reason
+    assert np.abs((found.points_px - shot.corners_px)[found.is_seen]).max() < 0.2
+    assert found.is_seen.sum() > 0.75 * is_in_view.sum()
+
+
+def test_without_edges_and_marks_in_view_nothing_is_named(shoot):
     shot = shoot("circles:11x9:30mm:large", distance=0.7, shift=(-0.5, -0.4))
     found = detect(shot.image, shot.board)
     assert not found.is_found and "not the three large ones" in found.reason

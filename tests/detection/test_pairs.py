@@ -224,7 +224,7 @@ def test_nothing_to_read(tmp_path):
     with pytest.raises(DataError, match=r"no pair"):
         detect_pairs((), BOARD)
     pair = ImagePair("0", tmp_path / "left.png", tmp_path / "right.png")
-    with pytest.raises(DataError, match=r"none of the 2 images can be read.*no such file"):
+    with pytest.raises(DataError, match=r"none of the 2 images can be used; left.png .*no such file"):
         detect_pairs((pair,), BOARD)
 
 

@@ -11,7 +11,7 @@ from binocal.experiments import convergence
 from binocal.experiments.boards import nominal_rig
 from binocal.experiments.convergence import END, FALL, LOSS, iterations_until, loss_figures
 from binocal.experiments.run import rows_of, run_cases
-from binocal.report.curves import Curve, draw_curves
+from binocal.report.curves import Curve, _broken, draw_curves
 
 
 def test_convergence_is_after_the_last_loss_that_is_too_large():
@@ -46,6 +46,12 @@ def test_one_after_the_other_takes_longer_than_all_at_once():
     curves = {curve.label: curve.values for curve in convergence.loss_curves([r for r in rows if r.table == LOSS])}
     assert curves["lm"][0] > 1e3 * curves["lm"][-1]
     assert curves["lm"][-1] == pytest.approx(2 * 0.05**2, rel=0.1)  # both coordinates' noise, but for what is fitted
+
+
+def test_a_curve_has_a_gap_where_the_next_stage_begins():
+    x, y = _broken(Curve("a", (0, 1, 2, 5), (4.0, 2.0, 60.0, 1.0)))
+    assert x[:2] == [0.0, 1.0] and x[3:] == [2.0, 5.0] and np.isnan(x[2]) and np.isnan(y[2])
+    assert _broken(Curve("a", (0, 1), (1.0, 2.9))) == ([0.0, 1.0], [1.0, 2.9])
 
 
 def test_curves_that_lie_on_each_other_are_one_line_of_the_legend():

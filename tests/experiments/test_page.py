@@ -143,6 +143,8 @@ def test_a_cut_experiment_of_other_options_is_not_gone_on_with(small, tmp_path, 
     assert main(["experiment", "--images", "80", "--seeds", "3", "--output", str(output)]) == 3
     assert "the journal of another experiment" in capsys.readouterr().err
     assert main(["experiment", "--images", "80", "--seeds", "3", "--output", str(output), "--force"]) == 0
+    assert main(["experiment", "--images", "100000000", "--output", str(output)]) == 2
+    assert "above 20000" in capsys.readouterr().err
     assert main(["experiment", "--images", "20", "--seeds", "3", "--output", str(output)]) == 2
     assert "at least 8 are needed" in capsys.readouterr().err
 
@@ -151,9 +153,10 @@ def test_a_cut_experiment_of_other_options_is_not_gone_on_with(small, tmp_path, 
 def test_a_sample_of_rendered_boards_is_halved_and_drl_reaches_its_bound():
     case = paper.board_cases(ExperimentOptions(160, 10))[0]
     assert isinstance(case.make, boards.RenderedBoards) and case.make.n_pairs == 8
-    results = results_of(case, 0, ("drl", "prior unchanged", "Cramér-Rao bound"))
-    drl, prior, bound = ({m.criterion: m.value for m in result.measured} for result in results)
+    results = results_of(case, 0, ("drl", "opencv, its own corners", "prior unchanged", "Cramér-Rao bound"))
+    drl, theirs, prior, bound = ({m.criterion: m.value for m in result.measured} for result in results)
     assert drl[paper.LENGTH] < 0.05 < 1.0 < prior[paper.LENGTH]  # percent
+    assert drl[paper.LENGTH] < theirs[paper.LENGTH] < 0.2  # cv2's corners are three times as noisy
     assert drl["error of a single side"] == pytest.approx(bound["error of a single side"], rel=0.05)
     assert drl[paper.CORRECT] >= 95 and prior[paper.CORRECT] < 10
     assert {"left.fx", "translation.z", "iterations"} <= set(drl)

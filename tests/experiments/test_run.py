@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
+
+import numpy as np
 import pytest
 
+from binocal.boards import parse_board
 from binocal.errors import CancelledError, FormatError
-from binocal.experiments.case import Case, Result, results_of
+from binocal.experiments import run
+from binocal.experiments.case import Case, OpenCVThroughout, Result, Sample, results_of
 from binocal.experiments.journal import Journal
 from binocal.experiments.row import NAN, Measured
 from binocal.experiments.run import rows_of, run_cases
+from binocal.simulation import StereoScene, sample_board_poses, simulate_detections, table2_rig
 from small_cases import Fails, Several, make, measure
 
 CASES = [Case("one", make, measure, (Fails(), Several()), {"length": "9.1", ("several", "share"): 95.0}, "3")]
@@ -39,9 +45,37 @@ def test_a_failure_is_told_in_one_line():
     )
 
 
+def test_opencv_throughout_works_from_its_own_corners():
+    rng, rig, board = np.random.default_rng(0), table2_rig(), parse_board("chessboard:11x8:20mm")
+    corners = simulate_detections(StereoScene(rig, board, sample_board_poses(rig, board, 6, rng)), rng, noise_px=0.05)
+
+    def baseline(made, sample):
+        return [Measured("baseline", "mm", 1e3 * made.rig.baseline_m)]
+
+    def sample(theirs):
+        return lambda seed: Sample(None, rig, board, choices={"model": "brown4"}, opencv_corners=theirs)
+
+    results = [
+        results_of(Case("one", sample(theirs), baseline, (OpenCVThroughout(),)), 0)[0] for theirs in (corners, None)
+    ]
+    assert results[0].measured[0].value == pytest.approx(1e3 * rig.baseline_m, abs=0.3)
+    assert results[1].failure == "OpenCV finds the board in no pair." and not results[1].measured
+
+
 def test_many_processes_find_what_one_does():
     one, two = (run_cases(CASES, SEEDS, workers=n) for n in (1, 2))
     assert {key: repr(one[key]) for key in one} == {key: repr(two[key]) for key in two}  # NaN is not NaN
+
+
+def test_the_tracker_of_semaphores_is_told_to_say_nothing(monkeypatch):
+    seen = []
+    monkeypatch.setattr(run.resource_tracker, "ensure_running", lambda: seen.append(os.environ["PYTHONWARNINGS"]))
+    monkeypatch.setenv("PYTHONWARNINGS", "default")
+    run._quiet_tracker()
+    assert seen == ["default,ignore:resource_tracker"] and os.environ["PYTHONWARNINGS"] == "default"
+    monkeypatch.delenv("PYTHONWARNINGS")
+    run._quiet_tracker()
+    assert seen[1:] == ["ignore:resource_tracker"] and "PYTHONWARNINGS" not in os.environ
 
 
 def test_a_cut_run_goes_on_where_it_was_and_ends_in_the_same(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 
 from binocal.app import experiment_times
 from binocal.app.corners import detect_corners
+from binocal.app.experiment import experiment
 from binocal.app.natural import NaturalRun
 from binocal.benchmark.real_sets import sets_in
 from binocal.boards import parse_board
@@ -133,6 +134,15 @@ def test_both_boards_stand_before_a_street_and_opencv_finds_them_too(tmp_path, m
             for o, f in zip((ours.left_px, ours.right_px), (found.left_px, found.right_px), strict=True)
         ]
         assert max(apart_px) < 0.5  # both finders see the same corners
+
+
+def test_folders_of_streets_are_looked_at_before_anything_runs(tmp_path):
+    for option in ("kitti", "cityscapes"):
+        (tmp_path / option).mkdir()
+        options = ExperimentOptions(48, 3, **{option: str(tmp_path / option)})
+        with pytest.raises(DataError, match=option):
+            experiment(tmp_path / "page", options)
+    assert not (tmp_path / "page").exists()
 
 
 def test_few_pairs_repeat_under_names_of_their_own():

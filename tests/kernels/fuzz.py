@@ -20,7 +20,9 @@ from binocal.kernels import (
     images,
     library_words,
     marker_grids,
+    point_lattices,
     rectified_maps,
+    spots,
     template_match,
 )
 
@@ -195,6 +197,25 @@ def saddle_response(f: Fuzz) -> None:
 def find_peaks(f: Fuzz) -> None:
     reach, margin = (int(f.rng.integers(-1, 9)) for _ in range(2))
     images.find_peaks(f.image((np.float32,)), reach, margin, float(f.rng.normal()), f.size(50))
+
+
+def find_spots(f: Fuzz) -> None:
+    image = f.image((np.uint8,))
+    around = f.image((np.uint8,)) if f.misfit else np.roll(image, 1, axis=0)
+    spots.find_components(image, around, int(f.rng.integers(-300, 300)), f.size(9), float(f.floats(1, scale=30.0)[0]))
+
+
+def find_nearest(f: Fuzz) -> None:
+    point_lattices.find_nearest(f.places(f.size(40)), f.size(9))
+
+
+def grow_point_lattice(f: Fuzz) -> None:
+    n = f.size(60)
+    points = 10.0 * f.rng.permutation(np.argwhere(np.ones((6, 10))))[:n] + 0.1 * f.places(n)[:n]
+    limits = point_lattices.GrowthLimits(*np.abs(f.floats(3, scale=2.0)))
+    basis = f.floats(2, 2) if f.misfit else 10.0 * np.eye(2)
+    seed = int(f.rng.integers(-1, n + 1))
+    point_lattices.grow_lattice(points, np.abs(f.floats(n)), f.bools(n), seed, basis, limits)
 
 
 def sample(f: Fuzz) -> None:
@@ -375,7 +396,8 @@ def match_templates(f: Fuzz) -> None:
 
 FUNCTIONS = [
     accumulate, squared_lengths, unweighted_columns, robust_costs, median_lengths2, solve_steps, reduced_information, step_poses,
-    compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, sample, read_rings, localize_saddles,
+    compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, find_spots, find_nearest, grow_point_lattice,
+    sample, read_rings, localize_saddles,
     follow_edges, link_corners, find_faces, read_cells, vote_on_tags, predict_places, predict_each, predict_steps,
     grow_lattice, grow_groups, fit_corners, fit_ellipses, fit_image_lens, pool_corners, rectified_map,
     reduce_stereo, solve_definite, caught_words, match_templates,

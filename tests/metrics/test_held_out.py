@@ -59,3 +59,13 @@ def test_drawn_rigs_have_the_covariance(scene_and_bound):
     t = np.array([r.T_right_left.t - scene.rig.T_right_left.t for r in rigs])
     expected = [bound.sigma[f"translation.{axis}"] for axis in "xyz"]
     assert t.std(axis=0) == pytest.approx(expected, rel=0.06)
+
+
+def test_few_drawn_rigs_have_exactly_the_covariance(scene_and_bound):
+    scene, bound = scene_and_bound
+    rigs = draw_rigs(scene.rig, bound, 40, np.random.default_rng(4))
+    t = np.array([r.T_right_left.t - scene.rig.T_right_left.t for r in rigs])
+    expected = [bound.sigma[f"translation.{axis}"] for axis in "xyz"]
+    assert np.sqrt(np.mean(t**2, axis=0)) == pytest.approx(expected, rel=1e-6)
+    assert np.abs(t.mean(axis=0)).max() < 1e-9 * max(expected)
+    assert len(draw_rigs(scene.rig, bound, 3, np.random.default_rng(4))) == 3

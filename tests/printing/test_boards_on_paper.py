@@ -13,7 +13,7 @@ import binocal
 from binocal.app.board import PrintRequest, lay_out_pages, print_board
 from binocal.boards import Board, load_board, parse_board
 from binocal.boards.measured import measured_box_m
-from binocal.printing.board_shapes import PrintStyle
+from binocal.printing.board_shapes import PrintStyle, board_size_mm
 from binocal.printing.drawing import Disc, Page
 from binocal.printing.dxf import dxf_text
 from binocal.printing.paper import PAPERS, parse_paper, smallest_paper
@@ -96,6 +96,43 @@ def test_tags_with_one_bit_of_border_are_found_as_apriltags_own_detector_looks_f
     assert sorted(ids.ravel()) == list(range(12))
     found = binocal.detect(image, board)
     assert np.abs((found.points_px + 0.5) * INCH / 300 - points_mm(board, page)).max() < TRUE_TO_MM
+
+
+@pytest.mark.parametrize("spec", [*(spec for spec, is_legacy in KINDS if not is_legacy), "circles:7x5:6mm:hollow"])
+def test_an_inverted_board_is_true_to_scale_and_detected(spec):
+    board = parse_board(spec)
+    sheet = SheetOptions(4.0, False, PrintStyle(is_inverted=True))
+    (page,) = lay_out_pages(board, PrintRequest((3 * INCH, 2.6 * INCH), sheet=sheet))
+    image = cv2.imdecode(np.frombuffer(png_content(page, 300.0), np.uint8), cv2.IMREAD_GRAYSCALE)
+    upright = PrintRequest((3 * INCH, 2.6 * INCH), sheet=SheetOptions(4.0, False))
+    plain = cv2.imdecode(np.frombuffer(png_content(lay_out_pages(board, upright)[0], 300.0), np.uint8), 0)
+    corners = np.array([(0.0, 0.0), board_size_mm(board)]) + page.groups[0].shift
+    (left, top), (right, bottom) = np.rint(corners * 300 / INCH).astype(int) + [[2, 2], [-2, -2]]
+    of_print = image[top:bottom, left:right], plain[top:bottom, left:right]
+    assert np.abs(of_print[0].astype(int) - (255 - of_print[1].astype(int))).max() <= 1
+    assert (
+        image[2, 2] == 255 and (image[top:bottom, left - 8] == 0).all()
+    )  # the page's margin is white, the border black
+    found = binocal.detect(cv2.GaussianBlur(image, (0, 0), 1.0), board)
+    assert found.is_found, found.reason
+    assert np.abs((found.points_px + 0.5) * INCH / 300 - points_mm(board, page)).max() < TRUE_TO_MM
+
+
+@pytest.mark.parametrize("spec", ["chessboard:7x5:6mm:marked", "circles:7x5:6mm:hollow"])
+def test_inverted_pdf_svg_and_dxf_hold_the_same_shapes(spec):
+    board = parse_board(spec)
+    sheet = SheetOptions(4.0, False, PrintStyle(is_inverted=True))
+    (page,) = lay_out_pages(board, PrintRequest((3 * INCH, 2.6 * INCH), sheet=sheet))
+    pdfium = pytest.importorskip("pypdfium2", reason="pypdfium2 rasterises PDF files; it is in the extra test")
+    drawn = pdfium.PdfDocument(pdf_content([page], spec))[0].render(scale=300 / 72, grayscale=True).to_numpy().squeeze()
+    image = cv2.imdecode(np.frombuffer(png_content(page, 300.0), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert np.abs(cv2.resize(drawn, image.shape[::-1]).astype(float) - image).mean() < 2
+    text = dxf_text(page)
+    plain = dxf_text(small_page(spec)[1])
+    assert len(outlines_of(text, "BOARD")) == len(outlines_of(plain, "BOARD")) + 1  # the ground's
+    assert text.count("CIRCLE") == plain.count("CIRCLE") > 0
+    svg = svg_text(page, spec)
+    assert svg.count("<circle") == text.count("CIRCLE") and 'fill="#fff"' in svg.split("<circle", 1)[1]
 
 
 def detect_with_opencv(image: np.ndarray, board: Board, is_legacy: bool) -> np.ndarray:

@@ -14,6 +14,7 @@ import pytest
 import binocal
 from binocal.app.board import write_screen_board
 from binocal.boards import Board, load_board, parse_board
+from binocal.printing.board_shapes import PrintStyle
 from binocal.printing.screen import NOTE_PX, Screen, ScreenBoard, fit_board, screen_page
 from binocal.report.printing import NAMES
 
@@ -51,6 +52,17 @@ def test_edges_lie_between_pixels_and_the_pitch_is_right(spec):
     if board.kind not in ("circles", "acircles"):
         assert set(np.unique(image)) == {0, 255}
     assert farthest_px(np.pad(image, 50, constant_values=255), board, shown) < 1e-3
+
+
+@pytest.mark.parametrize("spec", ["charuco:11x8:30mm:22mm:DICT_5X5_50", "circles:10x8:20mm"])
+def test_an_inverted_board_is_on_a_black_page(spec):
+    screen, style = Screen.of_diagonal((1920, 1080), 0.6), PrintStyle(is_inverted=True)
+    shown = fit_board(parse_board(spec), screen, style)
+    page = screen_page(shown, screen, style)
+    assert "background: #000" in page and "@" not in re.sub(r"base64,[^\"]*", "", page).replace("@media", "")
+    image = image_of(page)
+    assert np.array_equal(image, 255 - image_of(screen_page(shown, screen)))
+    assert farthest_px(np.pad(image, 50, constant_values=0), parse_board(shown.spec), shown) < 1e-3
 
 
 def test_the_pitch_is_the_specs_where_it_fits_else_the_largest():

@@ -272,8 +272,12 @@ def findings_of_rules(calibration: StereoCalibration, rules: tuple[Rule, ...]) -
     return tuple(found for rule in rules for found in rule.findings(calibration))
 
 
-def apply_rules(calibration: StereoCalibration, *, is_converged: bool) -> StereoCalibration:
+def apply_rules(
+    calibration: StereoCalibration, *, is_converged: bool, solver: str = "the joint solve", else_use: str = ""
+) -> StereoCalibration:
     """The calibration with the findings of all rules, the gravest first, before those that it has.
+
+    ``solver`` is what did or did not converge, ``else_use`` what to do where another would, in place of advice on the views.
 
     Raises:
         InconsistentViewsError: The corners cannot be images of this board.
@@ -289,7 +293,11 @@ def apply_rules(calibration: StereoCalibration, *, is_converged: bool) -> Stereo
                 raise refusal(found, describe_views(calibration))
             warnings.append(found)
     if not is_converged:
-        stuck = finding("not-converged", remedy=variety.advise(calibration), n_iterations=calibration.n_iterations)
+        n = calibration.n_iterations
+        ended = f" in {n} iteration{'s' * (n != 1)}" if n else ""
+        stuck = finding(
+            "not-converged", remedy=else_use or variety.advise(calibration), solver=solver, ended=ended, n_iterations=n
+        )
         raise refusal(stuck, describe_views(calibration))
     after = findings_of_rules(calibration, OUTLIERS)
     return replace(calibration, findings=(*warnings, *calibration.findings, *after))

@@ -67,7 +67,7 @@ def advise(calibration: StereoCalibration) -> str | None:
     if covered < COVERED_SHARE:
         ways.append(f"move it over the whole image (all corners together span {100 * covered:.0f} % of it)")
     if not ways:
-        return "the tilts are there: add more such views, or hold what you know (--intrinsics), or choose a plainer --model"
+        return "the tilts are there: add more such views, or hold what you know (--prior with --hold left,right), or choose a plainer --model"
     return " and ".join(ways) + "; the tilts are there"
 
 

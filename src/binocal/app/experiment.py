@@ -62,11 +62,13 @@ def experiment(
     Raises:
         OutputExistsError: ``output`` holds other files, or a whole experiment, and ``force`` is False.
         FormatError: The folder holds the journal of other options.
+        DataError: A folder of real data is not of its layout; nothing has run then.
         MissingExtraError: Matplotlib is not installed.
         CancelledError: ``should_stop`` returned True; the same call goes on.
     """
     from binocal.app.experiment_times import (
         MOST_TIMED,
+        check_streets,
         recordings_in_colour,
         recordings_of,
         rows_of_timed,
@@ -87,6 +89,7 @@ def experiment(
 
     options = options or ExperimentOptions()
     folder = check_experiment_folder(output, force=force)
+    check_streets(options)
     real = []
     if options.measured is not None:
         real = [

@@ -17,9 +17,9 @@ from binocal.app.natural import NaturalOptions, NaturalRun, NaturalSource, recal
 from binocal.boards import Board
 from binocal.calibrators import calibrate
 from binocal.datasets.folder import list_pairs
-from binocal.errors import BinocalError
+from binocal.errors import BinocalError, DataError
 from binocal.evidence import Detections
-from binocal.experiments.case import Result
+from binocal.experiments.case import OPENCV_THROUGHOUT, Result
 from binocal.experiments.journal import Key
 from binocal.experiments.options import LEAST_PAIRS, ExperimentOptions
 from binocal.experiments.row import NAN, Measured, Row, row_of
@@ -36,12 +36,11 @@ PAPER_SECONDS = {
     "wide-field": {"KITTI": 10.4, "Cityscapes": 11.1, MEASURED: 15.4},
 }
 """What the paper's table 4 prints, 1000 images each, on a machine that it does not name."""
-OPENCV = "opencv, its own corners"
 BOARD_METHODS = {
     "drl": ("drl", "brown4"),
     "lm": ("lm", "brown4"),
     "from-guess": ("from-guess", "brown4"),
-    OPENCV: ("opencv", "brown4"),
+    OPENCV_THROUGHOUT: ("opencv", "brown4"),
     "alternating": ("alternating", "brown4"),
     "absolute-orientation": ("absolute-orientation", "brown4"),
     "heterogeneous": ("heterogeneous", "brown4"),
@@ -51,6 +50,7 @@ BOARD_METHODS = {
 STREET_METHODS = ("drl", "portfolio", "lm")
 MAX_PAIRS = {"KITTI": 8, "Cityscapes": 4, "measured, streets": 4}
 """Pairs that are used. Of images of 2 million pixels eight take 17 s of processor time, four 8 s."""
+LEAST_STREET_PAIRS = 2  # of a set of streets
 LONG_S = 5.0  # a solve that took longer is not repeated
 REPEATS = 3
 
@@ -58,6 +58,20 @@ MOST_TIMED = len(BOARD_METHODS) + len(STREETS) * len(STREET_METHODS)
 
 Has = Callable[[str, str], bool]
 """Whether a case's method is in the journal already."""
+
+
+def check_streets(options: ExperimentOptions) -> None:
+    """Whether the folders of real streets are what they are given as.
+
+    Raises:
+        DataError: One is not of its layout, or holds too few pairs; it names the folder.
+    """
+    for option, folder in (("kitti", options.kitti), ("cityscapes", options.cityscapes)):
+        if folder is None:
+            continue
+        n_pairs = len(source_of_dataset(f"{option}:{folder}", None).pairs)
+        if n_pairs < LEAST_STREET_PAIRS:
+            raise DataError(f"{folder}: --{option} has {n_pairs} pairs, at least {LEAST_STREET_PAIRS} are needed.")
 
 
 def timed_results(options: ExperimentOptions, has: Has) -> Iterator[Result]:
@@ -88,7 +102,7 @@ def _measured(options: ExperimentOptions, has: Has) -> Iterator[Result]:
         ours = _found(folders, lambda left, right, board: detect_corners(left, right, board))
         for name in missing:
             try:
-                found = _found(folders, _by_opencv) if name == OPENCV else ours
+                found = _found(folders, _by_opencv) if name == OPENCV_THROUGHOUT else ours
             except BinocalError as error:
                 yield Result(MEASURED, name, options.seed, failure=" ".join(str(error).split()))
                 continue
@@ -106,7 +120,7 @@ def _found(folders: Mapping[str, Path], find: Callable[[str, str, Board], Detect
 
 def _by_opencv(left: str, right: str, board: Board) -> Detections:
     """As OpenCV's users find them."""
-    from binocal.benchmark.opencv_peer import detect_with_opencv
+    from binocal.detection.opencv_finder import detect_with_opencv
 
     return detect_with_opencv(list_pairs(left, right).pairs, board)
 

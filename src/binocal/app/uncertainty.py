@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from binocal.calibrators.registry import evidence_of
 from binocal.errors import DataError
 from binocal.result import StereoCalibration
 from binocal.uncertainty.maps import ProjectionMap, RangeMap, projection_map, range_map
 
+WITHOUT_POSES = ("opencv", "absolute-orientation", "zoom")  # calibrators that pass no errors of board poses on
 N_RANGES = 6  # from the nearest to the farthest, in equal ratios
 
 
@@ -63,13 +65,23 @@ def tell_uncertainty(
     far: tuple[ProjectionMap, ...] = ()
     near: tuple[ProjectionMap, ...] = ()
     if mean_pose is None:
-        notes.append(
-            "no projection uncertainty: the file does not say how the board poses err with the cameras (it was written by an "
-            "older release); calibrate anew."
-        )
+        notes.append(f"no projection uncertainty: {_why_no_poses(calibration)}.")
     else:
         far, near = (
             tuple(projection_map(rig, covariance, mean_pose, side, distance) for side in ("left", "right"))
             for distance in (np.inf, nearest)
         )
     return UncertaintyRun(maps, far, near, matching_px, rig.is_metric, tuple(notes))
+
+
+def _why_no_poses(calibration: StereoCalibration) -> str:
+    """Why the calibration does not say how the poses of a board err along with the cameras."""
+    calibrator = str(calibration.provenance.get("calibrator", ""))
+    if evidence_of(calibrator) == "rectangles":
+        return "it is of a board's poses, and no board was seen: rectangles told how the cameras turned"
+    if calibrator in WITHOUT_POSES:
+        return f"calibrator {calibrator!r} does not say how the board poses err with the cameras; lm and drl do"
+    return (
+        "the file does not say how the board poses err with the cameras (another program or an older release wrote it); "
+        "calibrate anew"
+    )

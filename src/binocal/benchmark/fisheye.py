@@ -20,13 +20,14 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.benchmark.mrcal_peer import find_mrcal, rays_by_mrcal
-from binocal.benchmark.opencv_peer import calibrate_rig, find_corners_by_sector, pair_corners, read_grey
+from binocal.benchmark.opencv_peer import calibrate_rig
 from binocal.benchmark.scenes import render_scene_pairs
 from binocal.boards import Board, parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import StereoRig
 from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
+from binocal.detection.opencv_finder import find_corners_by_sector, pair_corners, read_grey
 from binocal.errors import BinocalError
 from binocal.evidence import Detections
 from binocal.geometry import SE3, so3

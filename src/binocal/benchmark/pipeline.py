@@ -20,13 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from binocal.benchmark.opencv_peer import calibrate_views, find_corners_with_opencv, pair_corners, read_grey
+from binocal.benchmark.opencv_peer import calibrate_views
 from binocal.benchmark.scenes import render_scene_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.cameras import StereoRig
 from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
+from binocal.detection.opencv_finder import find_corners_with_opencv, pair_corners, read_grey
 from binocal.geometry import so3
 
 BOARD = "chessboard:11x8:20mm"

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray
 
-from binocal.benchmark.opencv_peer import find_corners_with_opencv, read_grey
 from binocal.boards import Board, load_board
 from binocal.cameras import CAMERA_MODELS
 from binocal.datasets.folder import ImagePair, Pairing, list_pairs
 from binocal.detection import detect_pairs
+from binocal.detection.opencv_finder import find_corners_with_opencv, read_grey
 from binocal.errors import BinocalError, DataError, FormatError
 from binocal.evidence import Detections
 from binocal.formats.detections_npz import is_detections_file, read_detections

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from binocal.benchmark.opencv_peer import calibrate_views, find_corners_with_opencv, pair_corners, read_grey
+from binocal.benchmark.opencv_peer import calibrate_views
 from binocal.benchmark.scenes import render_scene_pairs
 from binocal.boards import parse_board
 from binocal.calibrators import calibrate
 from binocal.datasets.folder import ImagePair
 from binocal.detection import detect_pairs
+from binocal.detection.opencv_finder import find_corners_with_opencv, pair_corners, read_grey
 from binocal.evidence import Detections
 from binocal.geometry import so3
 from binocal.simulation import table2_rig

@@ -65,8 +65,9 @@ def calibrate_absolute_orientation(evidence: Detections, request: CalibrationReq
     second = pose_stage_of_points(cameras, points, T_right_left, weights)
     T_left_board, n_iterations = poses_by_both(diagnosed, cameras, T_right_left), n_left + n_right
     fitted, n, has_arrived = _refined(diagnosed, cameras, T_left_board, T_right_left)
+    n_iterations += n  # whether its pose is taken or only compared with
     if request.options.get("refine", False):
-        T_right_left, n_iterations = fitted, n_iterations + n
+        T_right_left = fitted
         T_left_board = poses_by_both(diagnosed, cameras, T_right_left)
         px = (diagnosed.views.left_px, diagnosed.views.right_px)
         second = pose_stage_of_pixels(cameras, points, T_left_board, T_right_left, px, left.is_used & right.is_used)

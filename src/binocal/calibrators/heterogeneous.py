@@ -37,9 +37,10 @@ def calibrate_heterogeneous(evidence: Detections, request: CalibrationRequest) -
     diagnosed = diagnosed_views(detections, request)
     request.check_stop()
     ordered = _sorted_points(detections, diagnosed)
-    weighed, noise_px = ordered, {}
+    weighed, noise_px, n_iterations = ordered, {}, 0
     for index, side in enumerate(SIDES):
-        stage, _, _ = solve_camera(diagnosed, index, request)
+        stage, n, _ = solve_camera(diagnosed, index, request)
+        n_iterations += n
         weighed, noise_px[side] = _with_noise_of(weighed, diagnosed, side, stage)
         request.check_stop()
     calibration = calibrate_jointly(weighed, request)
@@ -47,6 +48,7 @@ def calibrate_heterogeneous(evidence: Detections, request: CalibrationRequest) -
     said = {"added_noise_px": noise_px, "views_sorted": {"left": len(left), "right": len(right)}}
     return replace(
         calibration,
+        n_iterations=calibration.n_iterations + n_iterations,
         evidence=replace(
             calibration.corners, detections=_as_measured(calibration.corners.detections, weighed, ordered)
         ),

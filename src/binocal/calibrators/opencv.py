@@ -42,7 +42,13 @@ from binocal.solvers.staged_covariance import pose_stage_of_pixels
 NAME = "opencv"
 KINDS = {"brown4": cv2.CALIB_FIX_K3, "brown5": 0, "brown8": cv2.CALIB_RATIONAL_MODEL}
 ALL_ALIKE = LoopOptions(kernel="squared")
+ARRIVED = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+"""Of ``stereoCalibrate``: its default (30, 1e-6) stops before the minimum of its own cost on some sets of few views."""
 LONGEST_STEP_SIGMA = 0.5  # from where cv2 ended to the minimum of its own cost: more, and it had not arrived
+NOT_THERE = {
+    "solver": "cv2.stereoCalibrate",
+    "else_use": "cv2 stops after a fixed number of steps; --calibrator lm goes on to the minimum",
+}
 
 
 def calibrate_opencv(evidence: Detections, request: CalibrationRequest) -> StereoCalibration:
@@ -87,7 +93,7 @@ def _calibrate(detections: Detections, request: CalibrationRequest, *, is_free: 
     longest = LONGEST_STEP_SIGMA * max(camera.noise_px for camera in cameras)
     is_converged = bool(np.sqrt(score @ np.linalg.solve(information, score)) < longest)
     solve = StagedSolve((cameras[0], cameras[1]), T_right_left, second, T_left_board, 0, is_converged, provenance)
-    return summarize_stages(diagnosed, solve)
+    return summarize_stages(diagnosed, solve, **NOT_THERE)
 
 
 def _in_both(diagnosed: DiagnosedViews) -> Bool[ndarray, "views n"]:
@@ -143,8 +149,12 @@ def rig_by_opencv(
     model: str,
     *,
     is_free: bool,
+    stop: tuple[int, int, float] | None = None,
 ) -> tuple[list[tuple[ndarray, ndarray]], Float[ndarray, "3 3"], Float[ndarray, "3"]]:
-    """Both cameras' K and distortion, R and t by ``stereoCalibrate``, the cameras held or refined along. Raises as the former."""
+    """Both cameras' K and distortion, R and t by ``stereoCalibrate``, the cameras held or refined along. Raises as the former.
+
+    ``stop`` is cv2's rule of termination, its default if None; of fisheye lenses its default counts.
+    """
     if model == "fisheye4":
         solve, flags = cv2.fisheye.stereoCalibrate, cv2.CALIB_FIX_SKEW | cv2.CALIB_RECOMPUTE_EXTRINSIC
     else:
@@ -152,7 +162,8 @@ def rig_by_opencv(
     flags |= cv2.CALIB_USE_INTRINSIC_GUESS if is_free else cv2.CALIB_FIX_INTRINSIC
     (K_l, d_l), (K_r, d_r) = cameras
     left, right = corners
-    _, K_l, d_l, K_r, d_r, R, t, *_ = solve(points, left, right, K_l, d_l, K_r, d_r, size_wh, flags=flags)  # pyright: ignore
+    rule = {} if stop is None or model == "fisheye4" else {"criteria": stop}
+    _, K_l, d_l, K_r, d_r, R, t, *_ = solve(points, left, right, K_l, d_l, K_r, d_r, size_wh, flags=flags, **rule)  # pyright: ignore
     return [(K_l, np.ravel(d_l)), (K_r, np.ravel(d_r))], R, np.ravel(t)
 
 
@@ -184,7 +195,9 @@ def _both_cameras(
         raise TooFewViewsError(len(points), MIN_VIEWS)
     cameras = [_matrices(p) for p in parameters]
     try:
-        cameras, R, t = rig_by_opencv(points, corners, cameras, views.left_size_wh, model, is_free=is_free)
+        cameras, R, t = rig_by_opencv(
+            points, corners, cameras, views.left_size_wh, model, is_free=is_free, stop=ARRIVED
+        )
     except cv2.error as error:
         raise _refused(error, "stereo") from None
     if not (np.isfinite(R).all() and np.isfinite(t).all()):
@@ -260,4 +273,4 @@ def _of_joint_minimum(
         findings=diagnosed.findings,
         n_iterations=0,
     )
-    return acceptance.apply_rules(calibration, is_converged=bool(has_arrived))
+    return acceptance.apply_rules(calibration, is_converged=bool(has_arrived), **NOT_THERE)

@@ -164,8 +164,12 @@ def _rig(views: Detections, cameras: tuple[CameraStage, CameraStage], T_right_le
     return StereoRig(left, right, SE3(T_right_left.R, T_right_left.t), views.is_metric)
 
 
-def summarize_stages(diagnosed: DiagnosedViews, solve: StagedSolve) -> StereoCalibration:
+def summarize_stages(
+    diagnosed: DiagnosedViews, solve: StagedSolve, *, solver: str = "the solve in stages", else_use: str = ""
+) -> StereoCalibration:
     """The calibration with its covariance and its residuals per view, accepted or refused like any other.
+
+    ``solver`` and ``else_use`` as in :func:`binocal.acceptance.apply_rules`.
 
     Raises:
         CalibrationError: No trustworthy rig follows; the text names the cause.
@@ -199,7 +203,7 @@ def summarize_stages(diagnosed: DiagnosedViews, solve: StagedSolve) -> StereoCal
     motion = acceptance.gross_motion(exposure, acceptance.corner_spacing_px(views))
     if motion is not None:
         raise refusal(motion, acceptance.describe_views(calibration))
-    return acceptance.apply_rules(calibration, is_converged=solve.is_converged)
+    return acceptance.apply_rules(calibration, is_converged=solve.is_converged, solver=solver, else_use=else_use)
 
 
 def _lengths2(views: Detections, rig: StereoRig, T_left_board: SE3) -> list[Float[ndarray, "views n"]]:

@@ -10,7 +10,7 @@ from binocal.boards.board import HOLE, LARGE
 from binocal.detection.finding.blobs import LARGE_BLOCKS, SMALL_BLOCKS, USUAL_BLOCKS, Blobs, find_blobs
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
 from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
-from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane
+from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane, expected_points
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.found import FoundBoard, not_found
@@ -59,7 +59,11 @@ def detect_circles(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
             if index is not None:
                 found = _finish(grey, board, blobs, index, is_dark)
                 n_found = int(found.is_seen.sum())
-                if n_found >= enough or not board.marked_points:
+                if (
+                    n_found >= enough
+                    or not board.marked_points
+                    or _is_all_in_view(found, board, blobs.radii_px[index[index >= 0]], size_wh)
+                ):
                     return found
                 if found.is_found and (fullest is None or n_found > fullest[0]):
                     fullest = n_found, found, is_dark
@@ -146,6 +150,18 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     note = "" if n_seen == board.n_points else f"{n_seen} of {board.n_points} circles seen"
     covariance = np.where(np.isfinite(centres)[:, :1, None], measured.covariance_px2, np.nan)
     return FoundBoard(centres, covariance, note=note)
+
+
+def _is_all_in_view(found: FoundBoard, board: Board, radii_px: Float[ndarray, "m"], size_wh: tuple[int, int]) -> bool:
+    """Whether those circles that are not seen lie outside of the image; ``radii_px`` are those of the others."""
+    if found.is_seen.sum() < N_FOR_WHOLE_LENS:
+        return False
+    spacing = 2 * float(np.median(radii_px)) / board.circle_diameter_ratio
+    expected = expected_points(board.object_points_m[:, :2] / board.pitch_m, found.points_px, spacing, size_wh)
+    rim = float(radii_px.max())  # those that touch the border are not seen
+    with np.errstate(invalid="ignore"):
+        is_in_view = ((expected > rim) & (expected < np.array(size_wh) - 1 - rim)).all(axis=1)
+    return not (is_in_view & ~found.is_seen).any()
 
 
 def _relative_sizes(board: Board) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:

@@ -106,8 +106,7 @@ def detect_pairs(
     if pages and len(pairs) < MIN_PAIRS:
         raise DataError(f"{len(pairs)} pair{'s' * (len(pairs) != 1)} of images: {pages[0]}")
     if not any(image.found for image in seen):
-        problems = {image.path.name: image.problem for image in seen}
-        raise DataError(f"none of the {len(seen)} images can be read; {next(iter(problems.values()))}")
+        raise DataError(f"none of the {len(seen)} images can be used; {seen[0].path.name} {seen[0].problem}")
     looked = [LookedAt(_SIDES[i % 2], image.path, image.found, image.problem) for i, image in enumerate(seen)]
     require_board(looked, board, least_pairs)
     sizes = {side: common_size(side, images) for side, images in sides.items()}
@@ -264,7 +263,7 @@ def common_size(side: str, images: Sequence[ReadImage]) -> tuple[int, int]:
     sizes = Counter(image.size_wh for image in images if image.size_wh is not None)
     if not sizes:
         raise DataError(
-            f"none of the {len(images)} {side} images can be read; {images[0].path.name} {images[0].problem}"
+            f"none of the {len(images)} {side} images can be used; {images[0].path.name} {images[0].problem}"
         )
     ranked = sizes.most_common()
     size, count = ranked[0]

@@ -68,7 +68,7 @@ def detect_boards_in_pairs(
     seen = _agree_on_layouts(seen, look, should_stop, n_threads)
     sides = {"left": seen[0::2], "right": seen[1::2]}
     if all(image.problem for image in seen):
-        raise DataError(f"none of the {len(seen)} images can be read; {seen[0].path.name} {seen[0].problem}")
+        raise DataError(f"none of the {len(seen)} images can be used; {seen[0].path.name} {seen[0].problem}")
     require_board([_looked_at(SIDES[i % 2], image, boards) for i, image in enumerate(seen)], boards.boards[0], 0)
     sizes = {side: common_size(side, images) for side, images in sides.items()}
     kept, rejected = [], []

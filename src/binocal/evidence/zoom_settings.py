@@ -15,9 +15,9 @@ from binocal.values import ArrayValue, frozen_array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ZoomSettings(ArrayValue):
-    """Detections at each setting of the zoom, in ascending order of the settings, whatever unit these have.
+    """Detections at each setting of the zoom, kept in ascending order of the settings, whatever unit these have.
 
-    Both lenses stand at the same setting in a view; the images are of one size at all settings.
+    They may be given in any order. Both lenses stand at the same setting in a view; the images are of one size at all settings.
     """
 
     settings: Float[ndarray, "k"]
@@ -29,10 +29,14 @@ class ZoomSettings(ArrayValue):
             raise ValueError(f"{len(self.detections)} sets of detections for settings of shape {settings.shape}")
         if not np.isfinite(settings).all():
             raise DataError(f"setting {int(np.argmin(np.isfinite(settings))) + 1} of the zoom is not a finite number.")
-        repeated = settings[1:][np.diff(settings) <= 0]
+        order = np.argsort(settings, kind="stable")
+        settings = settings[order]
+        object.__setattr__(self, "detections", tuple(self.detections[i] for i in order.tolist()))
+        repeated = np.flatnonzero(np.diff(settings) == 0)
         if len(repeated):
+            first, second = (order[repeated[0] : repeated[0] + 2] + 1).tolist()
             raise DataError(
-                f"zoom setting {repeated[0]:g} is not above the one before it: give each once, in ascending order."
+                f"zoom setting {settings[repeated[0]]:g} is given twice (sets {first} and {second}): put its views into one set."
             )
         for name in ("left_size_wh", "right_size_wh", "is_metric"):
             values = [getattr(d, name) for d in self.detections]
@@ -42,7 +46,7 @@ class ZoomSettings(ArrayValue):
                 raise DataError(
                     f"the {what} differs between zoom setting {settings[0]:g} ({values[0]}) and {settings[other]:g} ({values[other]})."
                 )
-        object.__setattr__(self, "settings", settings)
+        object.__setattr__(self, "settings", frozen_array(settings))
 
     @property
     def n_views(self) -> int:

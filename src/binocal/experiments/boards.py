@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from binocal.boards import parse_board
+from binocal.boards import Board, parse_board
 from binocal.cameras import Camera, StereoRig
+from binocal.datasets.folder import ImagePair
+from binocal.detection.opencv_finder import detect_with_opencv
+from binocal.errors import DetectionError
+from binocal.evidence import Detections
 from binocal.experiments.bounds import bound_of_corners
 from binocal.experiments.case import Made, Sample
 from binocal.experiments.rendered import render_files
@@ -16,11 +21,12 @@ from binocal.geometry import SE3
 from binocal.metrics import image
 from binocal.metrics.pose import compare_with_truth
 from binocal.simulation import PoseOptions, RenderOptions, StereoScene, sample_board_poses, table2_rig
-from binocal.simulation.printed_shape import draw_printed_shape
+from binocal.simulation.printed_shape import draw_printed_shape, printed_points_information
 from binocal.solvers.poses import estimate_board_poses
 
 MODEL = "brown4"  # the paper's: two radial and two tangential coefficients
 FILL = (0.25, 0.70)  # of the image's width or height
+CORRECT_IF_KNOWN = "parameters correct by the bound of a board that is known exactly"
 LOOKS = RenderOptions(blur_px=0.8, noise_dn=3.0)
 
 
@@ -46,17 +52,29 @@ class RenderedBoards:
         """
         rng, rig, board = np.random.default_rng([seed, 3]), table2_rig(), parse_board(self.spec)
         scene = StereoScene(rig, board, sample_board_poses(rig, board, self.n_pairs, rng, PoseOptions(fill=FILL)))
-        looks, true_m = LOOKS, board.object_points_m
+        looks, true_m, information = LOOKS, board.object_points_m, None
         if self.bow_m or self.print_error_m:
             shape = draw_printed_shape(board, rng, bow_m=self.bow_m, error_m=self.print_error_m)
             looks, true_m = replace(LOOKS, shape=shape), shape.points_m(board)
-        corners = render_files(scene, looks, np.random.SeedSequence([seed, 4])).corners()
+            information = printed_points_information(board, bow_m=self.bow_m, error_m=self.print_error_m)
+        files = render_files(scene, looks, np.random.SeedSequence([seed, 4]))
+        corners = files.corners()
         place = np.array([int(name) for name in corners.names])
         first, second = (np.flatnonzero(part) for part in (place < self.n_pairs // 2, place >= self.n_pairs // 2))
         evidence = corners.select(first)
-        bound = bound_of_corners(rig, evidence, scene.T_left_board[place[first]])
+        placed, as_it_is = scene.T_left_board[place[first]], replace(evidence, object_points_m=true_m)
+        bound = bound_of_corners(rig, as_it_is, placed, information)
+        exact = None if information is None else bound_of_corners(rig, as_it_is, placed)
         held_out = replace(corners.select(second), object_points_m=true_m)
-        return Sample(evidence, rig, board, bound, {"model": MODEL}, held_out, nominal_rig())
+        theirs = _by_opencv(files.pairs[: self.n_pairs // 2], board)
+        return Sample(evidence, rig, board, bound, {"model": MODEL}, held_out, nominal_rig(), None, theirs, exact)
+
+
+def _by_opencv(pairs: Sequence[ImagePair], board: Board) -> Detections | None:
+    try:
+        return detect_with_opencv(pairs, board)
+    except DetectionError:
+        return None
 
 
 def board_errors(made: Made, sample: Sample) -> list[Measured]:
@@ -75,6 +93,9 @@ def board_errors(made: Made, sample: Sample) -> list[Measured]:
         Measured("translation error", "mm", truth.translation_error_mm, truth.translation_bound_mm),
         Measured("parameters correct (eq. 20)", "%", truth.parameter_accuracy_percent, table="figure 6"),
     ]
+    if sample.known_board_bound is not None:
+        known = compare_with_truth(rig, sample.truth, bound=sample.known_board_bound, has_skew=False)
+        found.append(Measured(CORRECT_IF_KNOWN, "%", known.parameter_accuracy_percent, table="figure 6"))
     if made.calibration is not None:
         if made.calibration.n_iterations:  # cv2 does not say how many it took
             found.append(Measured("iterations", "", float(made.calibration.n_iterations), table="figure 5"))

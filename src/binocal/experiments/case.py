@@ -11,21 +11,24 @@ import numpy as np
 from binocal.boards import Board
 from binocal.calibrators import calibrate
 from binocal.cameras import StereoRig
-from binocal.errors import BinocalError
+from binocal.errors import BinocalError, DetectionError
 from binocal.evidence import Detections
 from binocal.experiments.row import Measured
 from binocal.metrics.held_out import draw_rigs
 from binocal.result import Covariance, StereoCalibration
 
 Text = float | str
+OPENCV_THROUGHOUT = "opencv, its own corners"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """Evidence with its truth. ``choices`` go to :func:`binocal.calibrate`; ``truth`` is what a case measures against.
 
-    ``bound`` is the Cramér-Rao bound of the true rig's parameters, ``held_out`` are views that no method sees, ``prior`` is what the
-    rig's data sheet says. ``training`` are views that an agent may be trained on before.
+    ``bound`` is the Cramér-Rao bound of the true rig's parameters, of a board that is not as drawn by what is known of its print;
+    ``known_board_bound`` is then that of the same board, were it known exactly. ``held_out`` are views that no method sees, ``prior`` is what the
+    rig's data sheet says. ``training`` are views that an agent may be trained on before. ``opencv_corners`` are those of the same images
+    by cv2's finder, where it found any.
     """
 
     evidence: Any
@@ -36,6 +39,8 @@ class Sample:
     held_out: Detections | None = None
     prior: StereoRig | None = None
     training: Detections | None = None
+    opencv_corners: Detections | None = None
+    known_board_bound: Covariance | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +89,20 @@ class ByCalibrator:
         return (Made(made.rig, made),)
 
 
+@dataclass(frozen=True, slots=True)
+class OpenCVThroughout:
+    """``opencv`` from the corners that cv2's own finder gives of the same images: as its users run it."""
+
+    label: str = OPENCV_THROUGHOUT
+
+    def __call__(self, sample: Sample) -> Sequence[Made]:
+        """See :class:`Method`."""
+        if sample.opencv_corners is None:
+            raise DetectionError("OpenCV finds the board in no pair.")
+        made = calibrate(sample.opencv_corners, calibrator="opencv", **sample.choices)
+        return (Made(made.rig, made),)
+
+
 def by_calibrator(name: str, **options: Any) -> ByCalibrator:
     """The calibrator of that name, its options in the label."""
     words = ", ".join(f"{key} {value}" for key, value in options.items())
@@ -108,7 +127,7 @@ class AtBound:
     """Rigs scattered about the truth as the Cramér-Rao bound says: no unbiased method does better on average."""
 
     label: str = "Cramér-Rao bound"
-    n_rigs: int = 20
+    n_rigs: int = 40  # more than parameters, so that their covariance is the bound itself
     seed: int = 0
 
     def __call__(self, sample: Sample) -> Sequence[Made]:

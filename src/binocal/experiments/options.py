@@ -9,6 +9,8 @@ QUICK_IMAGES, QUICK_SEEDS = 32, 2
 
 
 LEAST_PAIRS = 8  # of a sample, both halves
+LEAST_IMAGES = 2 * LEAST_PAIRS  # of one seed
+MOST_IMAGES = 20_000  # table 4's measured set takes 1 MB for each
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,10 @@ class ExperimentOptions:
     def __post_init__(self) -> None:
         if self.n_seeds < 1:
             raise ValueError(f"at least one seed is needed; got {self.n_seeds}")
+        if self.n_images > MOST_IMAGES:
+            raise ValueError(
+                f"{self.n_images} images are more than {MOST_IMAGES}, which take 20 GB and a day: fewer images"
+            )
         if self.n_pairs < LEAST_PAIRS:
             raise ValueError(
                 f"{self.n_images} images over {self.n_seeds} seeds are {self.n_pairs} pairs each; at least {LEAST_PAIRS} are needed: "

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from binocal.experiments.boards import MODEL, RenderedBoards, board_errors, nominal_rig
-from binocal.experiments.case import AtBound, ByCalibrator, Case, Method, PriorUnchanged, by_calibrator
+from binocal.experiments.case import (
+    AtBound,
+    ByCalibrator,
+    Case,
+    Method,
+    OpenCVThroughout,
+    PriorUnchanged,
+    by_calibrator,
+)
 from binocal.experiments.colours import colour_cases
 from binocal.experiments.convergence import convergence_cases
 from binocal.experiments.guesses import AsPrinted, guess_cases
@@ -39,9 +47,10 @@ def methods() -> tuple[Method, ...]:
     ``wide-field`` knows lenses of one kind only, and fits that one.
     """
     baseline_m = nominal_rig().baseline_m
-    boards = ("drl", "drl-increments", "lm", "opencv", "alternating", "absolute-orientation", "heterogeneous")
     return (
-        *(by_calibrator(name) for name in boards),
+        *(by_calibrator(name) for name in ("drl", "drl-increments", "lm", "opencv")),
+        OpenCVThroughout(),
+        *(by_calibrator(name) for name in ("alternating", "absolute-orientation", "heterogeneous")),
         ByCalibrator("from-guess", "from-guess", {"baseline_m": baseline_m}),
         AsPrinted(),
         ByCalibrator("lm from the guess", "from-guess", {"baseline_m": baseline_m, "agent": "lm"}),

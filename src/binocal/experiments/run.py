@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context, parent_process, resource_tracker
 
 from binocal.errors import CancelledError
 from binocal.experiments.case import Case, Result, results_of
@@ -70,6 +70,7 @@ def _each(jobs: list[Job], workers: int) -> Iterator[list[Result]]:
         for job in jobs:
             yield results_of(*job)
         return
+    _quiet_tracker()
     # spawned: a forked child would share what threads of this process hold
     pool = ProcessPoolExecutor(min(workers, len(jobs)), get_context("spawn"), initializer=_begin_worker)
     futures: list[Future[list[Result]]] = [pool.submit(results_of, *job) for job in jobs]
@@ -78,6 +79,21 @@ def _each(jobs: list[Job], workers: int) -> Iterator[list[Result]]:
             yield future.result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _quiet_tracker() -> None:
+    """Python's tracker of semaphores, which outlives a process that a signal ends at once and cleans up after it, says nothing of it."""
+    if os.name != "posix":
+        return
+    given = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (given, "ignore:resource_tracker")))
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        if given is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = given
 
 
 def _begin_worker() -> None:

@@ -45,7 +45,8 @@ def read_zoom_settings(path: str | Path) -> tuple[SettingImages, ...]:
         raise FormatError(path, f"is no CSV ({error}); {REMEDY}.") from None
     if not lines or tuple(cell.strip() for cell in lines[0]) != COLUMNS:
         raise FormatError(path, f"line 1: expected {','.join(COLUMNS)}; {REMEDY}.")
-    rows = []
+    rows: list[SettingImages] = []
+    line_of: dict[float, int] = {}
     for number, cells in enumerate(lines[1:], start=2):
         if not any(cell.strip() for cell in cells):
             continue
@@ -55,6 +56,13 @@ def read_zoom_settings(path: str | Path) -> tuple[SettingImages, ...]:
         setting = _number(given)
         if setting is None:
             raise FormatError(path, f"line {number}: the setting {given[:40]!r} is not a finite number; {REMEDY}.")
+        if setting in line_of:
+            raise FormatError(
+                path,
+                f"line {number}: zoom setting {setting:g} stands on line {line_of[setting]} already; give each once, with a glob of "
+                "all its images.",
+            )
+        line_of[setting] = number
         if not left or not right:
             raise FormatError(path, f"line {number}: a side has no images; {REMEDY}.")
         rows.append(SettingImages(setting, str(path.parent / left), str(path.parent / right)))

@@ -85,7 +85,9 @@ def read_stored_image(path: str | PathLike[str], channel: str = "grey") -> Store
     else:
         image = _decode(Path(path), content, as_grey=False)
         if image.ndim != 3:
-            raise FormatError(path, f"has no colours, so it has no {channel} channel; leave out the channel")
+            raise FormatError(
+                path, f"has no colours, so it has no {channel} channel; give colour images, or measure in grey"
+            )
         grey = np.ascontiguousarray(image[..., _PLANES[channel]])
     n_pages = count_pages(content) if identify_container(content) == "TIFF" else 1
     return StoredImage(grey, hashlib.sha256(content).hexdigest(), n_pages)

@@ -14,6 +14,7 @@ Indices: TypeAlias = ndarray[tuple[int, ...], dtype[int64]]
 Plane: TypeAlias = ndarray[tuple[int, ...], dtype[float32]]
 
 N_OBSERVED: int
+SPOT_SIZE: int
 RECORD_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 ELLIPSE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
 SQUARE_LAYOUTS: dict[str, tuple[int, dict[str, int]]]
@@ -171,6 +172,23 @@ def fit_planes(
 # images
 def saddle_response(smooth: ndarray, response: ndarray, /) -> None: ...
 def find_peaks(response: ndarray, reach: int, margin: int, least: float, points: Floats, /) -> int: ...
+def find_spots(
+    image: ndarray, around: ndarray, below: int, least_area: int, most_side: float, records: Floats, /
+) -> int: ...
+def find_nearest(points: Floats, near: Indices, distance: Floats, unlike: Floats, /) -> None: ...
+def grow_point_lattice(
+    points: Floats,
+    log_sizes: Floats,
+    is_free: ndarray,
+    seed: int,
+    basis: Floats,
+    most_error: float,
+    sure_error: float,
+    most_log_ratio: float,
+    members: Indices,
+    cells: Indices,
+    /,
+) -> int: ...
 def sample(image: ndarray, points: Floats, values: Plane, /) -> None: ...
 def read_rings(
     image: ndarray,

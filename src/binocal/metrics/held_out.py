@@ -89,12 +89,18 @@ def is_inside(pixels: Float[ndarray, "*n 2"], size_wh: tuple[int, int]) -> Bool[
 
 
 def draw_rigs(truth: StereoRig, covariance: Covariance, n: int, rng: np.random.Generator) -> list[StereoRig]:
-    """``n`` rigs scattered about the truth with that covariance (Gaussian, to first order)."""
+    """``n`` rigs scattered about the truth with that covariance (Gaussian, to first order).
+
+    Where there are more than parameters, their mean and covariance are exactly these: an RMS over them, of what is linear in the
+    parameters, has no chance in it.
+    """
     values, vectors = np.linalg.eigh(covariance.matrix)
     root = vectors * np.sqrt(np.clip(values, 0, None))
-    return [
-        _moved(truth, dict(zip(covariance.names, root @ rng.standard_normal(len(root)), strict=True))) for _ in range(n)
-    ]
+    draws = rng.standard_normal((n, len(root)))
+    if n > len(root):
+        draws = draws - draws.mean(axis=0)
+        draws = np.linalg.qr(draws)[0] * np.sqrt(n)
+    return [_moved(truth, dict(zip(covariance.names, root @ draw, strict=True))) for draw in draws]
 
 
 def _moved(rig: StereoRig, step: dict[str, float]) -> StereoRig:

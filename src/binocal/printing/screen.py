@@ -142,7 +142,12 @@ def screen_page(shown: ScreenBoard, screen: Screen, style: PrintStyle | None = N
     }
     data = json.dumps(values).replace("<", "\\u003c")
     image = base64.b64encode(png).decode("ascii")
-    return _PAGE.replace("@TITLE@", escape(shown.spec)).replace("@IMAGE@", image).replace("@VALUES@", data)
+    ground, ink = ("#000", "#fff") if style is not None and style.is_inverted else ("#fff", "#000")
+    filled = {"@TITLE@": escape(shown.spec), "@GROUND@": ground, "@INK@": ink, "@IMAGE@": image, "@VALUES@": data}
+    page_text = _PAGE
+    for mark, text in filled.items():
+        page_text = page_text.replace(mark, text)
+    return page_text
 
 
 def _dpi(screen: Screen) -> float:
@@ -155,10 +160,10 @@ _PAGE = """<!doctype html>
 <meta charset="utf-8">
 <title>@TITLE@</title>
 <style>
-html, body { margin: 0; height: 100%; background: #fff; overflow: hidden; }
+html, body { margin: 0; height: 100%; background: @GROUND@; overflow: hidden; }
 #board { position: absolute; image-rendering: pixelated; }
-#note { position: absolute; left: 8px; bottom: 4px; font: 12px monospace; color: #000; }
-#warning { color: #b00; }
+#note { position: absolute; left: 8px; bottom: 4px; font: 12px monospace; color: @INK@; }
+#warning { color: #c33; }
 :fullscreen { cursor: none; }
 </style>
 </head>

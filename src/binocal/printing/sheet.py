@@ -66,7 +66,8 @@ def lay_out_sheet(board: Board, page_mm: tuple[float, float], options: SheetOpti
 def _borders(board: Board, options: SheetOptions) -> tuple[float, float, float, float]:
     """What is kept free at the left, top, right and bottom of the print."""
     quiet, margin = quiet_mm(board), options.margin_mm
-    free = max(quiet, margin)
+    # a printer that leaves its margin white may leave a white border's part of it, but not a black one's
+    free = quiet + margin if options.style.is_inverted else max(quiet, margin)
     if not options.has_notes:
         return free, free, free, free
     return (
@@ -117,7 +118,7 @@ def _footer(board: Board, page_mm: tuple[float, float], options: SheetOptions) -
     x, y = margin + QR_MM + 2, page_mm[1] - margin - FOOTER_MM + 0.3
     room = page_mm[0] - margin - x
     lines = [
-        spec + (" (legacy layout)" if options.style.is_legacy_charuco else ""),
+        spec + _style_words(options.style),
         "Printed at 100 %, the bars are as long as they say. Measure A-B and A-C:",
         f"A-B {across}: ________ mm    A-C {along}: ________ mm",
         "binocal calibrate ... --measured A-B,A-C such as " + f"{across},{along}",
@@ -138,6 +139,11 @@ def _footer(board: Board, page_mm: tuple[float, float], options: SheetOptions) -
         rectangles(*(_ruler(upright, margin, foot, is_upright=True))),
         Text(margin, foot - upright - 1.0, 2.0, f"{upright:g} mm"),
     ]
+
+
+def _style_words(style: PrintStyle) -> str:
+    words = ["legacy layout"] * style.is_legacy_charuco + ["inverted"] * style.is_inverted
+    return f" ({', '.join(words)})" if words else ""
 
 
 def _scale_bar(room: float) -> float:

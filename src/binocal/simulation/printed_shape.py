@@ -13,6 +13,8 @@ from binocal.shapes import Float
 from binocal.simulation.layout import printed_extent_m
 
 _EVERY = 4  # pixels
+_FLAT_SHARE = 2e-3  # of the print error: heights that are no bow, for an inverse
+_DIRECTIONS = 36  # of bows, over half a turn
 _ROUNDS = 30  # of fixed points whose error falls a hundredfold each
 
 
@@ -96,3 +98,21 @@ def draw_printed_shape(board: Board, rng: np.random.Generator, *, bow_m: float, 
     bow = float(rng.choice([-1.0, 1.0])) * bow_m / board.pitch_m
     offsets = error_m / board.pitch_m * rng.standard_normal((2, len(nodes[1]), len(nodes[0])))
     return PrintedShape(nodes[0], nodes[1], offsets, bow, np.array([x0 + x1, y0 + y1]) / 2, across, half)
+
+
+def printed_points_information(board: Board, *, bow_m: float, error_m: float) -> Float[ndarray, "m m"]:
+    """Inverse covariance of how far the points of such a board are from where they are drawn: x of all, then y, z; per square metre.
+
+    The bow's sign and direction are random, so its heights have mean 0; their covariance is the mean over directions. Both figures must
+    be above 0.
+    """
+    n, (x0, y0, x1, y1) = len(board.object_points_m), printed_extent_m(board)
+    covariance = np.zeros((3 * n, 3 * n))
+    covariance[range(2 * n), range(2 * n)] = error_m**2
+    middle, extent = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0])
+    angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    across = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    from_line = (board.object_points_m[:, :2] - middle) @ across.T / (0.5 * np.abs(across) @ extent)
+    heights = bow_m * (1 - from_line**2)
+    covariance[2 * n :, 2 * n :] = heights @ heights.T / _DIRECTIONS + (_FLAT_SHARE * error_m) ** 2 * np.eye(n)
+    return np.linalg.inv(covariance)

@@ -188,13 +188,16 @@ def cramer_rao_bound(
     right_is_seen: Bool[ndarray, "views n"] | None = None,
     skew: bool = False,
     weights: CornerWeights | None = None,
+    points_information: Float[ndarray, "m m"] | None = None,
 ) -> Covariance:
     """Least covariance that any unbiased estimate of the rig can have.
 
     From corners with Gaussian noise of ``noise_px`` per coordinate; with ``weights``, of that noise once whitened.
 
     All board poses are unknown (nuisance) parameters. ``T_left_board`` holds one pose per view. The models' weak priors
-    count as information, as they do in the estimate.
+    count as information, as they do in the estimate. With ``points_information``, the inverse covariance of how far the board's points
+    may be from where they are drawn (x of all points, then y, z; per square metre), they are unknown too, the same in all views:
+    ``object_points_m`` are then where they really are.
 
     Raises:
         DegenerateGeometryError: The scene leaves parameters undetermined.
@@ -213,5 +216,11 @@ def cramer_rao_bound(
         cameras.append(CameraObservations(model, np.zeros((n_views, 2, n)), seen, is_free, whitening))
     problem = BundleProblem(np.ascontiguousarray(np.asarray(object_points_m, dtype=float).T), tuple(cameras))
     truth = BundleEstimate.of_rig(rig, T_left_board)
+    if points_information is not None:
+        with_points = RealViewsProblem(problem, points_information)
+        at_truth = with_points.start(truth)
+        reduced = with_points.reduced(at_truth, with_points.linearize(at_truth, np.asarray(noise_px), "squared"))
+        inverse = invert_information(problem, cameras_information(reduced)) * noise_px**2
+        return Covariance(shared_names(problem), _with_additive_translation(problem, truth, inverse))
     equations = problem.linearize(truth, np.asarray(noise_px), "squared")
     return Covariance(shared_names(problem), shared_covariance(problem, truth, equations, noise_px))

@@ -97,6 +97,8 @@ def _fit(calibration: StereoCalibration) -> str:
 
 def _board(calibration: StereoCalibration) -> str:
     shape = calibration.board_shape
+    if "rectangles" in calibration.provenance:
+        return ""  # no board was seen
     if shape is None:
         return "as drawn, as far as the views say"
     unit, factor = calibration.rig.printed_unit

@@ -89,6 +89,13 @@ def board(
             max=2,
         ),
     ] = 2,
+    inverted: Annotated[
+        bool,
+        typer.Option(
+            "--inverted",
+            help="White on black, the border too, as for etched metal, back-lit film or screens; found alike.",
+        ),
+    ] = False,
     notes: Annotated[
         bool,
         typer.Option(
@@ -154,7 +161,7 @@ def board(
     try:
         page_text = page if page is not None or recommended is None else recommended.page
         page_mm = None if page_text is None else parse_paper(page_text)
-        style = PrintStyle(legacy, tag_border)
+        style = PrintStyle(legacy, tag_border, inverted)
         request = PrintRequest(page_mm, landscape, tiles, dpi, SheetOptions(_margin_mm(margin), notes, style))
         if screen and file is not None:
             shown = write_screen_board(

@@ -110,8 +110,8 @@ def calibrate(
         str,
         typer.Option(
             "--calibrator",
-            help="drl, drl-increments, lm, opencv, alternating, absolute-orientation, heterogeneous, wide-field, rectangles, "
-            "zoom, weights that train wrote, or what another package adds.",
+            help="drl, drl-increments, lm, from-guess, opencv, alternating, absolute-orientation, heterogeneous, wide-field, "
+            "rectangles, zoom, weights that train wrote, or what another package adds.",
             metavar="NAME",
         ),
     ] = "drl",

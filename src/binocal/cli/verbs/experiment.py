@@ -19,7 +19,13 @@ def experiment(
     quick: Annotated[bool, typer.Option("--quick", help="Few images and seeds, for a minute.")] = False,
     images: Annotated[
         int | None,
-        typer.Option("--images", help="Images of each set, all seeds together (default 1000).", metavar="N", min=1),
+        typer.Option(
+            "--images",
+            help="Images of each set, all seeds together, 16 to 20000 and at least 16 a seed (default 1000).",
+            metavar="N",
+            min=16,
+            max=20_000,
+        ),
     ] = None,
     seeds: Annotated[
         int | None, typer.Option("--seeds", help="Seeds, each with images of its own (default 10).", metavar="N", min=1)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
+from binocal.kernels.spots import find_components
 from binocal.shapes import Bool, Float, Int, UInt8
 
 MIN_AREA_PX2 = 6  # of a component, in pixels of the scale
@@ -19,7 +20,7 @@ LEAST_FULL = 0.25  # of its ellipse, that a ring fills: its hole is then 0.77 as
 # Sides of the local thresholds, of the image's shorter side: a spot must be narrower.
 USUAL_BLOCKS, SMALL_BLOCKS, LARGE_BLOCKS = (0.12,), (0.04, 0.09), (0.2, 0.45)
 ALL_BLOCKS = (*SMALL_BLOCKS, *LARGE_BLOCKS)
-_BELOW_DN = 6  # the mean of its block: what counts as a spot
+BELOW_DN = 6  # the mean of its block: what counts as a spot
 _ANGLES = np.arange(8) * np.pi / 4
 
 
@@ -67,74 +68,34 @@ def find_blobs(
     spots, misfit = (np.concatenate(parts) for parts in zip(*found, strict=True))
     spots = spots[np.argsort(misfit, kind="stable")]
     blobs = Blobs(spots[:, :2], spots[:, 2:4], spots[:, 4], np.zeros(len(spots)))
-    blobs = _one_per_place(blobs)
     contrast, hollowness = _look_at(image, blobs)
     is_clear = contrast >= MIN_CONTRAST_DN
-    kept = blobs.select(is_clear)
+    kept = _one_per_place(replace(blobs, hollowness=hollowness).select(is_clear))
     centres = scale * (kept.centres_px + 0.5) - 0.5
-    return Blobs(centres, scale * kept.axes_px, kept.angles_rad, hollowness[is_clear])
+    return replace(kept, centres_px=centres, axes_px=scale * kept.axes_px)
 
 
 def _find_with_block(image: UInt8[ndarray, "h w"], block: int) -> tuple[Float[ndarray, "k 5"], Float[ndarray, "k"]]:
     """Components below the mean of their block that are ellipses: centre, half-axes, angle; and their misfits."""
-    labels, stats, index = find_components(image, block)
-    width, height, area = stats[:, 2:].T
-    index = index[area[index] < 0.95 * width[index] * height[index] + 4]
-    middle, spread = _moments(labels, index, len(stats))
-    xx, yy, xy = (spread + [1 / 12, 1 / 12, 0]).T  # a pixel's own
+    around = cv2.blur(image, (block, block))
+    found = find_components(image, around, BELOW_DN, MIN_AREA_PX2, MAX_SHARE * min(image.shape))
+    area, (width, height) = found.areas_px, found.sizes_wh.T
+    xx, yy, xy = (found.moments_px2 + [1 / 12, 1 / 12, 0]).T  # a pixel's own
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9))
-    full = area[index] / (4 * np.pi * root)  # 1 of an ellipse, (1 - hole²) / (1 + hole²) of a ring
-    x, y = np.rint(middle).astype(int).T
-    is_ring = labels[y, x] != index
+    full = area / (4 * np.pi * root)  # 1 of an ellipse, (1 - hole²) / (1 + hole²) of a ring
+    is_ring = ~found.holds_mean
     hole2 = np.where(is_ring, np.clip((1 - full) / (1 + full), 0, 1), 0.0)
     half, distance = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major, minor = (2 * np.sqrt(np.maximum(half + way * distance, 1e-9) / (1 + hole2)) for way in (1, -1))
     allowance = 0.06 + 0.8 / minor
     of_box = np.maximum(
-        np.abs(4 * np.sqrt(xx / (1 + hole2)) - width[index]) / (width[index] + 0.0),
-        np.abs(4 * np.sqrt(yy / (1 + hole2)) - height[index]) / (height[index] + 0.0),
+        np.abs(4 * np.sqrt(xx / (1 + hole2)) - width) / width, np.abs(4 * np.sqrt(yy / (1 + hole2)) - height) / height
     )
     misfit = np.maximum(np.where(is_ring, 0.0, np.abs(1 - full)), of_box)
     is_good = (misfit < allowance) & (full > LEAST_FULL) & (minor > LEAST_MINOR_PX) & (major < MAX_ASPECT * minor)
+    is_good &= area < 0.95 * width * height + 4
     angle = 0.5 * np.arctan2(2 * xy, xx - yy)
-    return np.column_stack([middle, major, minor, angle])[is_good], misfit[is_good]
-
-
-def find_components(
-    image: UInt8[ndarray, "h w"], block: int
-) -> tuple[Int[ndarray, "h w"], Int[ndarray, "k 5"], Int[ndarray, "m"]]:
-    """Connected pixels below the mean of their block: labels, OpenCV's statistics of each, and which may be spots.
-
-    Those have an area, are not too large, and touch no border of the image.
-    """
-    binary = cv2.compare(cv2.convertScaleAbs(image, beta=_BELOW_DN), cv2.blur(image, (block, block)), cv2.CMP_LT)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(binary, connectivity=4, ltype=cv2.CV_32S)
-    left, top, width, height, area = stats.T
-    most, (rows, columns) = MAX_SHARE * min(image.shape), image.shape
-    is_candidate = (area >= MIN_AREA_PX2) & (np.maximum(width, height) < most)
-    is_candidate &= (left > 0) & (top > 0) & (left + width < columns) & (top + height < rows)
-    is_candidate[0] = False  # what is not below
-    return labels, stats, np.flatnonzero(is_candidate)
-
-
-def _moments(
-    labels: Int[ndarray, "h w"], index: Int[ndarray, "k"], n_labels: int
-) -> tuple[Float[ndarray, "k 2"], Float[ndarray, "k 3"]]:
-    """Mean place, and second moments xx, yy, xy about it, of the pixels of each of the components."""
-    number = np.full(n_labels, -1, np.int32)
-    number[index] = np.arange(len(index))
-    of_pixel = number[labels.ravel()]
-    pixels = np.flatnonzero(of_pixel >= 0)
-    of_pixel = of_pixel[pixels]
-    y, x = np.divmod(pixels, labels.shape[1])
-
-    def mean(values: ndarray) -> ndarray:
-        return np.bincount(of_pixel, values, len(index)) / n_pixels
-
-    n_pixels = np.maximum(np.bincount(of_pixel, minlength=len(index)), 1)
-    middle = np.column_stack([mean(x), mean(y)])
-    dx, dy = x - middle[of_pixel, 0], y - middle[of_pixel, 1]
-    return middle, np.column_stack([mean(dx * dx), mean(dy * dy), mean(dx * dy)])
+    return np.column_stack([found.means_px, major, minor, angle])[is_good], misfit[is_good]
 
 
 def _one_per_place(blobs: Blobs) -> Blobs:

@@ -9,6 +9,7 @@ from numpy import ndarray
 
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
 from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
+from binocal.kernels.point_lattices import GrowthLimits, find_nearest, grow_lattice
 from binocal.shapes import Bool, Float, Int
 
 MAX_STEP_ERROR = 0.28  # of the step, between where a neighbour should be and where it is
@@ -16,7 +17,7 @@ SURE_STEP_ERROR = 0.12  # taken before any that are farther off, which are looke
 MAX_RADIUS_RATIO = 1.9  # between a spot and those about it: some boards mark spots by 1.4 times the diameter
 N_FOR_LENS = 12  # points, from which on they tell the image's lens
 _N_NEAR = 8
-_ALONG = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+_LIMITS = GrowthLimits(MAX_STEP_ERROR, SURE_STEP_ERROR, MAX_RADIUS_RATIO)
 _AROUND = np.array([[x, y] for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
 _MOST_SEEDS, _SEEDS_A_LATTICE = 12, 3
 _MOST_BASES = 3  # of a seed
@@ -50,10 +51,7 @@ def grow_point_lattices(
     n = len(points)
     if n < max(least, 4):
         return []
-    near, distance = _nearest(points)
-    ways = points[near] - points[:, None]
-    unlike = np.linalg.norm(ways[:, :, None] + ways[:, None], axis=-1).min(axis=2) / distance
-    is_alike = np.abs(np.log(radii[near] / radii[:, None])) < np.log(MAX_RADIUS_RATIO)
+    near, _, unlike = find_nearest(points, min(_N_NEAR, n - 1))
     # Seeds first where the surroundings are regular: opposite neighbours at equal distances.
     order = np.argsort(np.sort(unlike, axis=1)[:, :4].mean(axis=1), kind="stable")
     free = np.ones(n, bool)
@@ -66,8 +64,8 @@ def grow_point_lattices(
         tried += len(seeds)
         if not seeds:
             break
-        for seed, basis in ((s, b) for s in seeds for b in _seed_bases(ways[s], unlike[s], is_alike[s])):
-            lattice = _grow_from(points, radii, seed, basis, free)
+        for seed, basis in ((s, b) for s in seeds for b in _seed_bases(points, radii, s, near[s], unlike[s])):
+            lattice = LatticePoints(*grow_lattice(points, radii, free, seed, basis, _LIMITS))
             if max(least, n_for_lens) <= len(lattice.members) < enough:
                 lattice = complete_by_lens(lattice, points, free, size_wh)
             if largest is None or len(lattice.members) > len(largest.members):
@@ -89,23 +87,16 @@ def is_seen_from_behind(points: Float[ndarray, "m 2"], cells: Int[ndarray, "m 2"
     return bool(np.nansum(np.sign(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])) <= 0)
 
 
-def _nearest(points: Float[ndarray, "n 2"]) -> tuple[Int[ndarray, "n k"], Float[ndarray, "n k"]]:
-    """The nearest neighbours of each point, the nearest first, and their distances."""
-    x, y = points[:, 0], points[:, 1]
-    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
-    np.fill_diagonal(squared, np.inf)
-    k = min(_N_NEAR, len(points) - 1)
-    near = np.argpartition(squared, k - 1, axis=1)[:, :k]
-    distance = np.take_along_axis(squared, near, axis=1)
-    order = np.argsort(distance, axis=1)
-    return np.take_along_axis(near, order, axis=1), np.sqrt(np.take_along_axis(distance, order, axis=1))
-
-
 def _seed_bases(
-    ways: Float[ndarray, "k 2"], unlike: Float[ndarray, "k"], is_alike: Bool[ndarray, "k"]
-) -> list[tuple[ndarray, ndarray]]:
+    points: Float[ndarray, "n 2"],
+    radii: Float[ndarray, "n"],
+    seed: int,
+    near: Int[ndarray, "k"],
+    unlike: Float[ndarray, "k"],
+) -> list[Float[ndarray, "2 2"]]:
     """Pairs of steps to try: to near neighbours of like size that do not lie on one line, first those with an opposite."""
-    alike = np.flatnonzero(is_alike)
+    ways = points[near] - points[seed]
+    alike = np.flatnonzero(np.abs(np.log(radii[near] / radii[seed])) < np.log(MAX_RADIUS_RATIO))
     chosen = ways[alike[np.argsort(unlike[alike] > _MAX_UNLIKE, kind="stable")]][:5]
     bases = []
     for i, a in enumerate(chosen):
@@ -115,35 +106,7 @@ def _seed_bases(
                 bases.append((float(area / lengths), float(area), a, b))
     smallest = min((area for _, area, _, _ in bases), default=0.0)
     fitting = [basis for basis in bases if basis[1] < _MAX_AREA * smallest]
-    return [(a, b) for _, _, a, b in sorted(fitting, key=lambda basis: -basis[0])[:_MOST_BASES]]
-
-
-def _grow_from(
-    points: ndarray, radii: ndarray, seed: int, basis: tuple[ndarray, ndarray], free: ndarray
-) -> LatticePoints:
-    """The lattice reached from a seed, one ring of cells a round, each from all that is known about it."""
-    index = np.flatnonzero(free)
-    x, y, sizes = points[index, 0], points[index, 1], np.log(radii[index])
-    is_left = index != seed
-    canvas = _Canvas(points, np.log(radii), seed)
-    while is_left.any():
-        # the seed's own steps hold about the seed alone
-        cells, expected, step, size = canvas.expect(basis if canvas.n == 1 else None)
-        squared = (expected[:, 0, None] - x) ** 2 + (expected[:, 1, None] - y) ** 2
-        squared[:, ~is_left] = np.inf
-        best = squared.argmin(axis=1)
-        off = np.sqrt(np.nan_to_num(squared[np.arange(len(best)), best], nan=np.inf)) / step
-        is_good = (off < MAX_STEP_ERROR) & (np.abs(sizes[best] - size) < np.log(MAX_RADIUS_RATIO))
-        if not is_good.any():
-            break
-        if (is_good & (off < SURE_STEP_ERROR)).any():
-            is_good &= off < SURE_STEP_ERROR
-        good = np.flatnonzero(is_good)
-        for k in good[np.argsort(off[good], kind="stable")]:
-            if is_left[best[k]]:
-                canvas.put(cells[k], int(index[best[k]]))
-                is_left[best[k]] = False
-    return canvas.lattice()
+    return [np.stack([a, b]) for _, _, a, b in sorted(fitting, key=lambda basis: -basis[0])[:_MOST_BASES]]
 
 
 def complete_by_lens(
@@ -179,89 +142,3 @@ def complete_by_lens(
             break
         members, cells = np.r_[members, index[best[taken]]], np.concatenate([cells, around[taken]])
     return LatticePoints(members, cells)
-
-
-class _Canvas:
-    """Cells about a seed with room beyond them: indices of their points, -1 where none, the points, and their sizes' logarithms."""
-
-    _APRON = 4
-
-    def __init__(self, points: ndarray, sizes: ndarray, seed: int) -> None:
-        self._all_points, self._all_sizes = points, sizes
-        self._place = np.full((64, 64), -1)
-        self._points = np.full((64, 64, 2), np.nan)
-        self._sizes = np.full((64, 64), np.nan)
-        self._origin = np.array([32, 32])
-        self._low, self._high = self._origin.copy(), self._origin.copy()
-        self.n = 0
-        self.put(self._origin, seed)
-
-    def put(self, cell: Int[ndarray, "2"], index: int) -> None:
-        """A point into a cell (row and column of the canvas)."""
-        at = cell[0], cell[1]
-        self._place[at], self._points[at], self._sizes[at] = index, self._all_points[index], self._all_sizes[index]
-        self._low, self._high = np.minimum(self._low, cell), np.maximum(self._high, cell)
-        self.n += 1
-
-    def lattice(self) -> LatticePoints:
-        """What the canvas holds, in cells from the seed."""
-        cells = np.argwhere(self._place >= 0)
-        return LatticePoints(self._place[tuple(cells.T)], cells - self._origin)
-
-    def expect(
-        self, basis: tuple[ndarray, ndarray] | None
-    ) -> tuple[Int[ndarray, "k 2"], Float[ndarray, "k 2"], Float[ndarray, "k"], Float[ndarray, "k"]]:
-        """Empty cells beside taken ones, where their points should be (infinite: unknown), and the steps and sizes there."""
-        if min(self._low) < self._APRON or max(self._high) >= len(self._place) - self._APRON:
-            self._widen()
-        (top, left), (bottom, right) = self._low - 2, self._high + 3
-        is_taken = self._place[top:bottom, left:right] >= 0
-        beside = is_taken[2:, 1:-1] | is_taken[:-2, 1:-1] | is_taken[1:-1, 2:] | is_taken[1:-1, :-2]
-        cells = np.argwhere(beside & ~is_taken[1:-1, 1:-1]) + self._low - 1
-        expected, weight, step, size = _from_each_side(self._points, self._sizes, cells, basis)
-        is_known = np.isfinite(expected[..., 0])
-        weight = np.where(is_known, weight, 0.0)
-        total, n_sides = weight.sum(axis=0), np.maximum(is_known.sum(axis=0), 1)
-        expected = (weight[..., None] * np.where(is_known[..., None], expected, 0.0)).sum(axis=0)
-        expected = np.where(total[:, None] > 0, expected / np.maximum(total, 1e-12)[:, None], np.inf)
-        step, size = (np.where(is_known, values, 0.0).sum(axis=0) / n_sides for values in (step, size))
-        return cells, expected, np.maximum(step, 1e-9), size
-
-    def _widen(self) -> None:
-        room = len(self._place) // 2
-        self._place = np.pad(self._place, room, constant_values=-1)
-        self._sizes = np.pad(self._sizes, room, constant_values=np.nan)
-        self._points = np.pad(self._points, ((room, room), (room, room), (0, 0)), constant_values=np.nan)
-        self._origin, self._low, self._high = self._origin + room, self._low + room, self._high + room
-
-
-def _from_each_side(
-    wide: ndarray, size_map: ndarray, at: ndarray, basis: tuple[ndarray, ndarray] | None
-) -> tuple[Float[ndarray, "4 k 2"], Float[ndarray, "4 k"], Float[ndarray, "4 k"], Float[ndarray, "4 k"]]:
-    """Where a cell's point should be by its neighbour on each side, with a weight, the step that leads there, and the size.
-
-    NaN where its steps are not known. The step is the one before, changed as the steps change along the line, else as
-    beside it, else the basis's.
-    """
-
-    def look(i: int, j: int = 0) -> ndarray:
-        place = at - i * _ALONG[:, None] + j * np.abs(_ALONG[:, None, ::-1])
-        return wide[place[..., 0], place[..., 1]]
-
-    first, second = look(1), look(2)
-    behind = first - second
-    if basis is None:
-        step = np.full(first.shape, np.nan)
-    else:
-        step = np.tile(np.array([basis[0], -basis[0], basis[1], -basis[1]])[:, None], (1, len(at), 1))
-    weight = np.full(first.shape[:2], 1e-3)
-    better = [(behind, 1.0), (2 * behind - (second - look(3)), 2.0)]
-    for side in (1, -1):  # the same step in the lines beside it
-        here = look(1, side)
-        beside = look(0, side) - here
-        better += [(beside, 1.0), (behind + (beside - (here - look(2, side))), 3.0)]
-    for other, worth in better:
-        is_known = np.isfinite(other[..., 0]) & (weight < worth)
-        step[is_known], weight[is_known] = other[is_known], worth
-    before = at - _ALONG[:, None]
-    return first + step, weight, np.hypot(step[..., 0], step[..., 1]), size_map[before[..., 0], before[..., 1]]

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.finding.blobs import find_components
-from binocal.shapes import Float, UInt8
+from binocal.detection.finding.blobs import BELOW_DN, MAX_SHARE, MIN_AREA_PX2
+from binocal.shapes import Float, Int, UInt8
 
 LEAST_SIDE_PX = 4.0  # in pixels of the scale
 MOST_ASPECT = 6.0  # of the longest side over the shortest: a square tilted by 70 degrees has 3
@@ -59,7 +59,7 @@ def find_quads(stretched: UInt8[ndarray, "h w"], *, is_dark: bool, scale: int = 
 
 
 def _find_with_block(image: UInt8[ndarray, "h w"], block: int) -> Float[ndarray, "k 4 2"]:
-    labels, stats, index = find_components(image, block)
+    labels, stats, index = _label_components(image, block)
     left, top, width, height, area = stats[index].T
     # a quadrilateral fills half of its box at least, but large squares are hollow to a small block
     is_thin = np.minimum(width, height) < LEAST_SIDE_PX
@@ -73,6 +73,23 @@ def _find_with_block(image: UInt8[ndarray, "h w"], block: int) -> Float[ndarray,
         if corners is not None:
             quads.append(corners + [x, y])
     return np.array(quads).reshape(-1, 4, 2)
+
+
+def _label_components(
+    image: UInt8[ndarray, "h w"], block: int
+) -> tuple[Int[ndarray, "h w"], Int[ndarray, "k 5"], Int[ndarray, "m"]]:
+    """Connected pixels below the mean of their block: labels, OpenCV's statistics of each, and which may be squares.
+
+    Those have an area, are not too large, and touch no border of the image.
+    """
+    binary = cv2.compare(cv2.convertScaleAbs(image, beta=BELOW_DN), cv2.blur(image, (block, block)), cv2.CMP_LT)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(binary, connectivity=4, ltype=cv2.CV_32S)
+    left, top, width, height, area = stats.T
+    most, (rows, columns) = MAX_SHARE * min(image.shape), image.shape
+    is_candidate = (area >= MIN_AREA_PX2) & (np.maximum(width, height) < most)
+    is_candidate &= (left > 0) & (top > 0) & (left + width < columns) & (top + height < rows)
+    is_candidate[0] = False  # what is not below
+    return labels, stats, np.flatnonzero(is_candidate)
 
 
 def _corners_of(outline: ndarray) -> Float[ndarray, "4 2"] | None:

@@ -299,7 +299,7 @@ class EllipseFitter {
     double expected(double u, double v) const {
         const Ellipse e = outline(p_);
         const double wx = e.xx * u + e.xy * v, wy = e.xy * u + e.yy * v, q = u * wx + v * wy;
-        const double d = (q - std::sqrt(std::max(q, 0.0))) / std::max(std::hypot(wx, wy), 1e-9);
+        const double d = (q - std::sqrt(std::max(q, 0.0))) / std::sqrt(std::max(wx * wx + wy * wy, 1e-18));
         return (p_[kLevel] + p_[kHalf] * std::erf(d * std::exp(-p_[kBlur]) * 0.70710678)) * (1 + p_[kLightX] * u + p_[kLightY] * v);
     }
 
@@ -332,7 +332,7 @@ class EllipseFitter {
         for (int i = 0; i < patch.n_pixels; ++i) {
             const double u = work_.u()[i] + patch.column - e.x, v = work_.v()[i] + patch.row - e.y;
             const double wx = e.xx * u + e.xy * v, wy = e.xy * u + e.yy * v, q = u * wx + v * wy;
-            const double d = (q - std::sqrt(q)) / std::max(std::hypot(wx, wy), 1e-9);
+            const double d = (q - std::sqrt(q)) / std::sqrt(std::max(wx * wx + wy * wy, 1e-18));
             if (d < deepest) deepest = d, inside = work_.value()[i];
             if (std::fabs(d) > 1.5) sum[d > 0] += work_.value()[i], ++count[d > 0];
         }

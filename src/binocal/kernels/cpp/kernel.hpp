@@ -67,6 +67,7 @@ void in_parallel(std::size_t count, std::size_t n_threads, const Work& work) {
 
 void register_accumulate(nb::module_& module);
 void register_planes(nb::module_& module);
+void register_point_lattice(nb::module_& module);
 void register_poses(nb::module_& module);
 void register_step(nb::module_& module);
 void register_corner_fit(nb::module_& module);
@@ -81,6 +82,7 @@ void register_observe(nb::module_& module);
 void register_template_match(nb::module_& module);
 void register_rectified_map(nb::module_& module);
 void register_saddles(nb::module_& module);
+void register_spots(nb::module_& module);
 void register_square_fit(nb::module_& module);
 void register_xcorners(nb::module_& module);
 

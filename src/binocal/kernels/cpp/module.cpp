@@ -5,6 +5,7 @@ NB_MODULE(_kernel, module) {
     module.doc() = "The compiled kernels of binocal. Use them through binocal.kernels.";
     binocal::register_accumulate(module);
     binocal::register_planes(module);
+    binocal::register_point_lattice(module);
     binocal::register_poses(module);
     binocal::register_step(module);
     binocal::register_corner_fit(module);
@@ -19,6 +20,7 @@ NB_MODULE(_kernel, module) {
     binocal::register_template_match(module);
     binocal::register_rectified_map(module);
     binocal::register_saddles(module);
+    binocal::register_spots(module);
     binocal::register_square_fit(module);
     binocal::register_xcorners(module);
 }
