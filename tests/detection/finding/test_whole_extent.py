@@ -30,7 +30,7 @@ def test_covered_marks_leave_the_two_ways_of_the_extent_and_a_disc_one():
     assert way.shift.tolist() == [0, 0]
 
 
-@pytest.mark.parametrize("discs", [[], [(3, 3), (9, 7), (11, 2), (12, 6)]])
+@pytest.mark.parametrize("discs", [[], [(3, 3), (9, 7), (11, 2), (12, 6)], [(7, 4), (7, 5), (6, 5)]])
 def test_squares_that_say_otherwise_are_believed(discs):
     assert not place_whole(BOARD, *seen(discs))
 

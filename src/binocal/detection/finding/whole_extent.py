@@ -41,7 +41,8 @@ def place_whole(board: Board, grid_px: Float[ndarray, "rows columns 2"], reading
             if is_read[row, column]
         ]
         n_agreeing = sum(told)
-        if 2 * n_agreeing >= len(told) and n_marked - n_agreeing <= MOST_STRAY * is_read.sum():
+        most_stray = MOST_STRAY * is_read.sum() if all(told) else 0  # a mirror image has two discs of three in place
+        if 2 * n_agreeing >= len(told) and n_marked - n_agreeing <= most_stray:
             found.append((2 * n_agreeing - len(told), Placement(turn, shift, 0)))
     most = max((score for score, _ in found), default=0)
     return [placement for score, placement in found if score == most]
