@@ -78,3 +78,11 @@ def test_a_wrong_size_is_refused_with_the_right_one(shoot):
 
 def test_a_chessboard_is_no_circle_grid(shoot):
     assert "no circle grid" in detect(shoot("chessboard:9x6:30mm").image, parse_board("circles:8x5:30mm")).reason
+
+
+def test_a_chessboards_squares_are_no_circles(shoot, monkeypatch):
+    image, board = shoot("chessboard:8x6:30mm", (0.1, -0.2, 0.1)).image, parse_board("acircles:3x5:30mm")
+    found = detect(image, board)
+    assert not found.is_found and "no equal circles" in found.reason
+    monkeypatch.setattr("binocal.detection.circles.are_equal_circles", lambda *_: True)
+    assert detect(image, board).is_found  # nothing else tells them apart

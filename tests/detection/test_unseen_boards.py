@@ -82,6 +82,20 @@ def test_another_board_is_named_and_proposed(folders, shown, given):
     assert re.search(f"did you mean {SHOWN[shown]}( \\(|\\?)", str(error)), str(error)
 
 
+@pytest.mark.parametrize(
+    ("shown", "given"),
+    [
+        ("charuco:8x6:30mm:22mm:DICT_5X5_50", "charuco:8x6:30mm:22mm:DICT_5X5_50:4"),
+        ("aprilgrid:5x4:30mm:0.3", "aprilgrid:5x4:30mm:0.3:1"),
+        ("aprilgrid:5x4:30mm:0.3", "aprilgrid:5x3:30mm:0.3"),
+    ],
+)
+def test_a_board_that_goes_on_beyond_the_spec_is_another(folders, shown, given):
+    """They were accepted, with the names of other corners."""
+    error = refusal_of(folders(shown), given)
+    assert error.findings[0].code == "board-is-another" and str(error).endswith(f"did you mean {shown}?"), str(error)
+
+
 @pytest.mark.parametrize("given", ["chessboard:9x6:30mm", "chessboard:7x4:30mm"])
 def test_no_image_of_a_charuco_board_counts_a_piece_of_it_as_a_chessboard(folders, given):
     """The first images of release 0.1 said that the SPEC was probably chessboard:8x5."""

@@ -16,6 +16,7 @@ from binocal.boards import Board
 from binocal.detection.finding.marker_codes import CodeKind
 from binocal.detection.finding.marker_grid import april_grid
 from binocal.detection.finding.marker_search import MarkerSighting, choose_way, few_kept_note, search_markers
+from binocal.detection.finding.marker_surroundings import read_surroundings
 from binocal.detection.finding.markers import find_markers, get_dictionary
 from binocal.detection.finding.planes import grid_residuals
 from binocal.detection.finding.regularity import keep_regular
@@ -77,8 +78,12 @@ def _detect_by_lattice(
     is_proved = layout is None and is_alone
     found = _measure_lattice(grey, board, best)
     if found.is_found:
+        around = read_surroundings(stretched, board, best)
+        if around.reason:
+            other = replace(not_found(board.n_points, around.reason), spec_seen=around.spec or "?")
+            return other, layouts[best.way] if is_proved else None, False
         notes = [LAYOUT_UNKNOWN] if layout is None and not is_proved else []
-        notes += [text for text in [few_kept_note(int(found.is_seen.sum()), best.n_predicted)] if text]
+        notes += [t for t in (few_kept_note(int(found.is_seen.sum()), best.n_predicted), around.note) if t]
         found = replace(found, note="; ".join(notes))
     return found, layouts[best.way] if is_proved else None, False
 

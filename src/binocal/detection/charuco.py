@@ -20,6 +20,7 @@ from binocal.detection.finding.marker_search import (
     few_kept_note,
     search_markers,
 )
+from binocal.detection.finding.marker_surroundings import read_surroundings
 from binocal.detection.finding.markers import find_markers, get_dictionary
 from binocal.detection.finding.planes import apply_homography, grid_residuals
 from binocal.detection.finding.regularity import keep_regular
@@ -99,8 +100,11 @@ def _detect_by_lattice(
     spacing, height = best.steps_px(board.n_points)
     found = _measure(grey, stretched, board, predicted, spacing, height, best)
     if found.is_found:
+        around = read_surroundings(stretched, board, best)
+        if around.reason:
+            return replace(not_found(board.n_points, around.reason), spec_seen=around.spec or "?"), proved, False
         notes = [LAYOUT_UNKNOWN] if not layout and not proved else []
-        notes += [text for text in [few_kept_note(int(found.is_seen.sum()), best.n_predicted)] if text]
+        notes += [t for t in (few_kept_note(int(found.is_seen.sum()), best.n_predicted), around.note) if t]
         found = replace(found, note="; ".join(notes))
     return found, proved, False
 

@@ -30,6 +30,8 @@ class FoundBoard(ArrayValue):
     cross_covariance_px2: Float[ndarray, "n 2 2"] | None = None
     is_patterned: bool = False
     """Whether a chessboard was not taken for the board because its bright squares hold patterns, as a ChArUco board's do."""
+    spec_seen: str = ""
+    """Why a marker board was not taken for the board: the SPEC that its markers prove; "?" where they show only that it is another."""
     is_among_several: bool = False
     """Whether the board was not found because several boards are seen, and which is meant cannot be known."""
     is_unnamed: bool = False

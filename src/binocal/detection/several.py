@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from binocal.boards import Board, BoardSet
 from binocal.detection.chessboard import detect_chessboards
-from binocal.detection.detect import MIN_SIDE_PX, detect_in_layout, stretch_8_bit
+from binocal.detection.detect import MIN_SIDE_PX, detect_in_layout, soften_drawing, stretch_8_bit
 from binocal.detection.found import FoundBoard
 from binocal.images.reading import to_grey
 
@@ -36,7 +36,7 @@ def detect_boards_in_layouts(
         ValueError: The array is not an image.
     """
     boards = board_set.boards
-    grey = to_grey(image)
+    grey = soften_drawing(to_grey(image))
     found: list[tuple[FoundBoard, ...]] = [()] * len(boards)
     proved: list[Any] = [None] * len(boards)
     if min(grey.shape) < MIN_SIDE_PX:

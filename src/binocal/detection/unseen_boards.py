@@ -14,6 +14,7 @@ from binocal.detection.hints import count_signs, hint_from_images
 from binocal.findings import finding, refusal
 
 SEVERAL_SHARE = 0.5  # of the images: with fewer, those that show several boards are left out, as one may stand about
+OTHER_SHARE = 0.1  # of those with the board, that show its markers beyond it: chance shows them in none
 FEW_FOUND = 0.2  # of the images: so few may be chance where the others that are looked at again agree on another board
 
 
@@ -48,6 +49,7 @@ def require_board(images: Sequence[LookedAt], board: Board, least_pairs: int) ->
     n_several = sum(found.is_among_several for _, found in looked)
     if n_several and n_several >= SEVERAL_SHARE * len(looked):
         raise refusal(finding("several-boards", n_several=n_several, **common), _reasons(images))
+    _require_no_other(looked, n_found, common, images)
     is_few = 0 in n_seen.values() or n_found < FEW_FOUND * len(looked)
     is_doubtful = is_few or 2 * n_found < len(looked) or count_signs(looked) > n_found
     hint = hint_from_images(looked, board) if is_doubtful else None
@@ -62,6 +64,22 @@ def require_board(images: Sequence[LookedAt], board: Board, least_pairs: int) ->
     if n_both < least_pairs <= n_pairs:
         counts = {"n_left": n_seen["left"], "n_right": n_seen["right"], "n_both": n_both, "n_needed": least_pairs}
         _refuse("board-in-too-few-pairs", images, **counts, **common)
+
+
+def _require_no_other(
+    looked: Sequence[tuple[Path, FoundBoard]], n_found: int, common: Mapping[str, Any], images: Sequence[LookedAt]
+) -> None:
+    """Refuse a marker board that goes on beyond the SPEC's in some images: where it is cut off it seems to be the SPEC's."""
+    others = [(path, found) for path, found in looked if found.spec_seen]
+    if not others or len(others) < OTHER_SHARE * (n_found + len(others)):
+        return
+    specs = Counter(found.spec_seen for _, found in others if found.spec_seen != "?")
+    spec = specs.most_common(1)[0][0] if specs else ""
+    path, first = next(each for each in others if not spec or each[1].spec_seen == spec)
+    remedy = f"did you mean {spec}?" if spec else "check the SPEC's size and first id"
+    figures = {"what": f"that {first.reason.partition(';')[0]} ({path.name})", "n_found": n_found}
+    figures |= {"n_other": len(others), "n_tried": len(looked)}
+    raise refusal(finding("board-is-another", remedy=remedy, **figures, **common), _reasons(images))
 
 
 def _refuse(code: str, images: Sequence[LookedAt], **figures: Any) -> None:

@@ -39,6 +39,14 @@ def test_a_part_with_its_marks_in_view_is_named(shoot, spec, shift):
     assert off_px(shot, found).max() < 0.2
 
 
+@pytest.mark.parametrize("spec", [SPEC, SWAPPED])
+def test_a_mirrored_board_is_said_to_be_mirrored(shoot, spec):
+    """The SPEC was blamed: 9x6 corners that reach beyond the SPEC's 9x6."""
+    image = np.ascontiguousarray(shoot(spec, distance=2.2).image[:, ::-1])
+    found = detect(image, parse_board(spec))
+    assert "9x6 corners is seen that is the SPEC's mirror image; give the images as the cameras" in found.reason
+
+
 def test_a_part_without_its_marks_has_no_names(shoot):
     shot = shoot(SPEC, distance=0.5, shift=(0.35, 0.0))
     found = detect(shot.image, shot.board)

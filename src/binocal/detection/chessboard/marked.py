@@ -35,7 +35,7 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
 from binocal.kernels.corner_fits import BoardPlaces
 from binocal.kernels.marker_grids import FieldLens
-from binocal.shapes import Bool, Float, UInt8
+from binocal.shapes import Bool, Float, Float32, UInt8
 
 MOST_SADDLES_PER_CORNER, LEAST_SADDLES = 5, 1200
 MOST_GROUPS = 6  # of linked corners, that are looked at
@@ -43,6 +43,9 @@ LEAST_KEPT = 4  # corners: fewer carry no pose
 MAX_MOVE = 0.25  # of the spacing, between where a corner was seen and where it was measured
 MOST_SIGMA_PX = (
     1.0  # of a corner: at the image's border some are hardly fitted, and off by up to 18 px where squares are large
+)
+MIRROR_IMAGE = (
+    "mirror image; give the images as the cameras took them, or count columns, rows and the marked squares again"
 )
 # A disc's rim is 0.54 squares from the square's corners, and the fit takes what lies within 0.85 of the reach.
 REACH_AT_DISC = 0.5
@@ -91,7 +94,7 @@ def detect_marked_chessboard(
     refusal = _Refusal()
     for saddles, scale in scaled_saddles(image, _level_settings):
         corners, peaks = find_saddles(saddles, most=most)
-        level = saddles, scale, peaks
+        level = saddles.smooth, scale, peaks
         if sighting is None:
             sighting = _recognise(image, board, expected_px, (saddles, corners, scale), refusal)
             if sighting is None:
@@ -134,8 +137,19 @@ def _recognise(
                 sighting = _as_sighting(board, grid_px, placement, _is_bright_first(group, cells))
                 if not sighting.is_inverted and fits_board(placement, len(group)):  # else off by a square
                     return sighting
+        if len(placements) < 2 and _is_mirrored(image, board, grid_px, len(group)):
+            refusal.consider(4, f"a chessboard of {columns}x{rows} corners is seen that is the SPEC's {MIRROR_IMAGE}")
         _explain(refusal, board, placements, (int(columns), int(rows)))
     return None
+
+
+def _is_mirrored(
+    image: UInt8[ndarray, "h w"], board: Board, grid_px: Float[ndarray, "rows columns 2"], n_seen: int
+) -> bool:
+    """Whether the lattice is the board's mirror image, and so much of it that its marks and its edges say so."""
+    mirrored = np.ascontiguousarray(grid_px[:, ::-1])
+    placements = place_board(board, mirrored, read_squares(image, mirrored))
+    return len(placements) == 1 and fits_board(placements[0], n_seen)
 
 
 def _explain(refusal: _Refusal, board: Board, placements: list[Placement], size: tuple[int, int]) -> None:
@@ -175,7 +189,7 @@ def _grow(
     sighting: _Sighting,
     grid: MarkerGrid,
     board: Board,
-    level: tuple[SaddleImage, float, Float[ndarray, "k 2"]],
+    level: tuple[Float32[ndarray, "h w"], float, Float[ndarray, "k 2"]],
     size_wh: tuple[int, int],
 ) -> None:
     """Over what the image at this scale has of the board, through the lens that suits it best."""

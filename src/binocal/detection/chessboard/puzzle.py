@@ -35,7 +35,7 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
 from binocal.kernels.corner_fits import BoardPlaces
 from binocal.kernels.marker_grids import FieldLens
-from binocal.shapes import Bool, Float, UInt8
+from binocal.shapes import Bool, Float, Float32, UInt8
 
 MOST_SADDLES_PER_CORNER, LEAST_SADDLES = 5, 1200
 MOST_GROUPS = 8  # of linked corners, that are looked at
@@ -85,7 +85,7 @@ def detect_puzzleboard(grey: ndarray, image: UInt8[ndarray, "h w"], board: Board
         sighting = _recognise(image, board, saddles, corners, scale, refusal, sighting)
         if sighting is None:
             continue
-        _grow(sighting, grid, (saddles, scale, peaks), size_wh)
+        _grow(sighting, grid, (saddles.smooth, scale, peaks), size_wh)
         n_known = int(np.isfinite(sighting.known_px[..., 0]).sum())
         if n_known >= ENOUGH_SHARE * count_visible(grid, sighting.known_px, sighting.lens, size_wh):
             break
@@ -142,7 +142,7 @@ def _is_bright_first(group: CornerGroup, cells: ndarray) -> bool:
 def _grow(
     sighting: _Sighting,
     grid: MarkerGrid,
-    level: tuple[SaddleImage, float, Float[ndarray, "k 2"]],
+    level: tuple[Float32[ndarray, "h w"], float, Float[ndarray, "k 2"]],
     size_wh: tuple[int, int],
 ) -> None:
     """Over what the image at this scale has of the board, through the lens that suits it best."""
@@ -161,7 +161,7 @@ def _measure(
     rough = points_at(grid, sighting.known_px, board.n_points)
     spacing, height = steps_at(grid, sighting.known_px, sighting.lens, board.n_points)
     places = BoardPlaces(board.object_points_m[:, :2], board.pitch_m)
-    points, covariance, cross = measure_corners(grey, rough, places, REACH * height)
+    points, covariance, cross = measure_corners(grey, rough, places, REACH * height, may_be_cut=True)
     points = points.copy()
     sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
     points[(np.linalg.norm(points - rough, axis=1) > MAX_MOVE * spacing) | (sigma > MOST_SIGMA_PX)] = np.nan
