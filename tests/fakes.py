@@ -91,7 +91,16 @@ class FakePackages:
         return Pairing(pairs, (("left99 copy.png", "a copy of left99.png"),))
 
     def _detect_pairs(
-        self, pairs, board, *, progress=None, should_stop=None, n_threads=None, preparation=None, least_pairs=0
+        self,
+        pairs,
+        board,
+        *,
+        progress=None,
+        should_stop=None,
+        n_threads=None,
+        preparation=None,
+        least_pairs=0,
+        expect=None,
     ):
         self.calls["preprocess"] = preparation is not None and preparation.strengthens
         if progress:

@@ -17,7 +17,7 @@ SPEC = "aprilgrid:5x4:40mm:0.3"
 
 @pytest.mark.parametrize("border_bits", [1, 2])
 def test_tags_of_both_borders(shoot, border_bits):
-    shot = shoot(SPEC, size_wh=(960, 720), april_border_bits=border_bits)
+    shot = shoot(SPEC, size_wh=(960, 720), border_bits=border_bits)
     found = detect(shot.image, shot.board)
     assert found.is_found and found.is_seen.sum() >= 40, found.reason  # measured 68 to 80
     error = (found.points_px - shot.corners_px)[found.is_seen]

@@ -22,6 +22,12 @@ def test_both_layouts_are_told_by_the_image(shoot, spec, is_legacy):
     assert np.sqrt(np.nanmean((found.points_px - shot.corners_px) ** 2)) < 0.06  # measured 0.02 to 0.04 px per axis
 
 
+def test_markers_with_two_bits_of_black_around_them(shoot):
+    shot = shoot(SPEC, size_wh=(800, 600), distance=1.9, border_bits=2)
+    found = detect(shot.image, shot.board)
+    assert found.is_seen.all() and np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.1
+
+
 def test_squares_of_ten_pixels_keep_their_corners(shoot):
     """Their markers begin 1.3 px from the edges: the fit's bands hold hardly more than the blurred edges themselves."""
     n_seen = 0

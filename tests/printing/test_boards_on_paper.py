@@ -101,7 +101,7 @@ def test_a_pdf_is_true_to_scale_and_detected(spec, is_legacy):
 
 def test_tags_with_one_bit_of_border_are_found_as_apriltags_own_detector_looks_for_them():
     board = parse_board("aprilgrid:4x3:10mm:0.3")
-    sheet = SheetOptions(4.0, False, PrintStyle(april_border_bits=1))
+    sheet = SheetOptions(4.0, False, PrintStyle(border_bits=1))
     (page,) = lay_out_pages(board, PrintRequest((3 * INCH, 2.5 * INCH), sheet=sheet))
     image = as_photographed(png_content(page, 300.0))
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

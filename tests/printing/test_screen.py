@@ -25,6 +25,7 @@ KINDS = [
     "circles:10x8:20mm",
     "acircles:4x11:20mm",
     "squares:5x4:30mm:20mm",
+    "aprilgrid:4x3:40mm:0.3:tag25h9:5",
 ]
 
 

@@ -47,7 +47,7 @@ def test_charuco_needs_enough_markers_and_a_known_dictionary():
 @pytest.mark.parametrize("border_bits", [1, 2])
 def test_aprilgrid_is_kalibrs_sheet(border_bits):
     board = parse_board("aprilgrid:3x2:88mm:0.25")
-    cells = cell_print(board, april_border_bits=border_bits)
+    cells = cell_print(board, border_bits=border_bits)
     n = 6 + 2 * border_bits
     assert cells.ink.shape == (2 * (n + 1) + 1, 3 * (n + 1) + 1)
     assert printed_extent_m(board) == pytest.approx((-0.022, -0.022, 3 * 0.11, 2 * 0.11))

@@ -69,7 +69,7 @@ def test_opencvs_charuco_detector_agrees(is_legacy):
 
 @pytest.mark.parametrize("border_bits", [1, 2])
 def test_opencvs_tag_detector_reads_the_aprilgrid(border_bits):
-    board, _, image = _render("aprilgrid:4x3:40mm:0.3", 4, april_border_bits=border_bits)
+    board, _, image = _render("aprilgrid:4x3:40mm:0.3", 4, border_bits=border_bits)
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = border_bits
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
@@ -177,7 +177,7 @@ def test_wrong_poses_and_options_are_refused():
         render_light(rig.left, back, CHESS, RenderOptions(), rng)
     with pytest.raises(ValueError, match="one pose"):
         render_light(rig.left, SE3(np.eye(3)[None], np.zeros((1, 3))), CHESS, RenderOptions(), rng)
-    for bad in ({"blur_px": -1}, {"gamma": 0}, {"bit_depth": 12}, {"blur_kind": "box"}, {"april_border_bits": 0}):
+    for bad in ({"blur_px": -1}, {"gamma": 0}, {"bit_depth": 12}, {"blur_kind": "box"}, {"border_bits": 0}):
         with pytest.raises(ValueError):
             RenderOptions(**bad)
 

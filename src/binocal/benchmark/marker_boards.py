@@ -115,7 +115,7 @@ def _options(case: str, rng: np.random.Generator) -> RenderOptions:
     elif case == "small":
         given["blur_px"] = rng.uniform(0.4, 0.8)
     elif case == NARROW:
-        given["april_border_bits"] = 1
+        given["border_bits"] = 1
     elif case == "light":
         given |= {"shading": tuple(rng.uniform(-0.6, 0.6, 2)), "vignetting": 0.5, "gamma": 2.2}
     return RenderOptions(**given)

@@ -20,6 +20,7 @@ from binocal.boards import parse_board
 from binocal.detection import detect
 from binocal.shapes import Float
 from binocal.simulation import printed_extent_m
+from binocal.simulation.layout import usual_border_bits
 
 MARKER_BOARDS = BOARDS[:2]
 FAR_PX = 0.5  # an error beyond it is counted as a failure
@@ -51,7 +52,7 @@ def marker_corner_bounds(scene: MarkerBoardScene) -> Float[ndarray, "n 2 2"]:
     if board.kind == "charuco":
         reach, strip = height, 0.5 * (1 - board.marker_m / board.pitch_m) * height
     else:
-        border = options.april_border_bits
+        border = options.border_bits or usual_border_bits(board)
         reach, strip = board.tag_gap_ratio * height, border / (CODE_BITS + 2 * border) * height
     edges = np.stack([np.arctan2(axis[:, 1], axis[:, 0]) for axis in axes], axis=-1)
     x0, y0, x1, y1 = printed_extent_m(board)

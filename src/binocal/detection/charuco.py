@@ -90,7 +90,7 @@ def _detect_by_lattice(
     )
     grids = [charuco_grid(board, name == "legacy") for name in layouts]
     inset = grids[0].free
-    kinds = [CodeKind(board.dictionary, 1, inset, inset / (1 - 2 * inset))]
+    kinds = [CodeKind(board.dictionary, border_bits, inset, inset / (1 - 2 * inset)) for border_bits in (1, 2)]
     search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else LEAST_SURE)
     if not search.sightings:
         return None, "", search.is_mirrored

@@ -15,10 +15,10 @@ MOST_QUIET_MM = 25.0  # of a border, however large the squares are
 
 @dataclass(frozen=True, slots=True)
 class PrintStyle:
-    """What a SPEC leaves open: ChArUco's layout, the bits of black around an AprilGrid's tags (Kalibr: 2, AprilTag's own: 1), colours."""
+    """What a SPEC leaves open: ChArUco's layout, the bits of black around markers (None: a ChArUco board's 1, an AprilGrid's 2), colours."""
 
     is_legacy_charuco: bool = False
-    april_border_bits: int = 2
+    border_bits: int | None = None
     is_inverted: bool = False
     """White on black, the quiet border too."""
 
@@ -77,7 +77,7 @@ def _black_shapes(board: Board, style: PrintStyle) -> tuple[Shape, ...]:
         y = row * pitch - 1e3 * y0
         sizes = zip(x, y, discs.outer.ravel() * pitch, discs.hole.ravel() * pitch, strict=True)
         return tuple(Disc(float(u), float(v), float(radius), float(hole)) for u, v, radius, hole in sizes)
-    cells = cell_print(board, is_legacy_charuco=style.is_legacy_charuco, april_border_bits=style.april_border_bits)
+    cells = cell_print(board, is_legacy_charuco=style.is_legacy_charuco, border_bits=style.border_bits)
     area = trace_cells(cells.ink, cells.x_edges * pitch - 1e3 * x0, cells.y_edges * pitch - 1e3 * y0)
     discs = (
         Disc(float(x * pitch - 1e3 * x0), float(y * pitch - 1e3 * y0), float(radius * pitch), is_black=bool(ink))

@@ -20,7 +20,6 @@ from binocal.simulation.layout import cell_print
 
 NOTE_PX = 40  # kept free below the board, for what is written there
 PX_M = 1e-3  # a pixel in the drawing, whose unit is the millimetre
-APRIL_DATA_CELLS = 6  # of a tag's side, besides its border
 MOST_DIAGONAL_M = 5.0
 LEAST_PITCH_PX = {
     "chessboard": 4,
@@ -101,14 +100,15 @@ def _in_pixels(board: Board, pitch_px: int, style: PrintStyle) -> Board | None:
         return None
     if board.kind == "charuco":
         one = replace(board, columns=3, rows=3, pitch_m=1.0, is_metric=False, marker_m=board.marker_m / board.pitch_m)
-        n_cells = len(cell_print(one).x_edges) // 3 - 2  # of a marker's side
+        n_cells = len(cell_print(one, border_bits=style.border_bits).x_edges) // 3 - 2  # of a marker's side
         cell = round(pitch_px * board.marker_m / board.pitch_m / n_cells)
         pitch_px -= (pitch_px - n_cells * cell) % 2  # the same margin on both sides
         if cell < 1 or n_cells * cell >= pitch_px:
             return None
         return replace(board, pitch_m=PX_M * pitch_px, is_metric=True, marker_m=PX_M * n_cells * cell)
     if board.kind == "aprilgrid":
-        n_cells = APRIL_DATA_CELLS + 2 * style.april_border_bits
+        one = replace(board, columns=1, rows=1)
+        n_cells = len(cell_print(one, border_bits=style.border_bits).x_edges) - 3  # of a tag's side
         side = pitch_px // n_cells * n_cells
         gap = max(1, round(board.tag_gap_ratio * side))
         return replace(board, pitch_m=PX_M * side, is_metric=True, tag_gap_ratio=gap / side)

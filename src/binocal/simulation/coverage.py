@@ -44,11 +44,11 @@ class Sheet(Protocol):
         ...
 
 
-def sheet_of(board: Board, *, is_legacy_charuco: bool = False, april_border_bits: int = 2) -> Sheet:
+def sheet_of(board: Board, *, is_legacy_charuco: bool = False, border_bits: int | None = None) -> Sheet:
     """The board's print on its sheet of white paper."""
     if board.kind in ("circles", "acircles"):
         return DiscSheet(disc_print(board), board)
-    cells = cell_print(board, is_legacy_charuco=is_legacy_charuco, april_border_bits=april_border_bits)
+    cells = cell_print(board, is_legacy_charuco=is_legacy_charuco, border_bits=border_bits)
     sheet = CellSheet(cells, sheet_margin(board))
     if board.kind == "puzzleboard":
         return DottedSheet(sheet, cells.discs)

@@ -118,18 +118,24 @@ def disc_print(board: Board) -> DiscPrint:
     return DiscPrint(board.columns, board.rows, step, stagger, radius, outer, hole)
 
 
-def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bits: int = 2) -> CellPrint:
-    """Cells of a chessboard, a ChArUco board, an AprilGrid, a square grid or a PuzzleBoard.
+def usual_border_bits(board: Board) -> int:
+    """Cells of black around a marker's code as they are mostly printed: one of ChArUco boards, Kalibr's two of AprilGrids."""
+    return 2 if board.kind == "aprilgrid" else 1
+
+
+def cell_print(board: Board, *, is_legacy_charuco: bool = False, border_bits: int | None = None) -> CellPrint:
+    """Cells of a chessboard, a ChArUco board, an AprilGrid, a square grid or a PuzzleBoard; ``border_bits`` as usual if None.
 
     Raises:
         ValueError: The dictionary is unknown or has too few markers.
     """
+    border = usual_border_bits(board) if border_bits is None else border_bits
     if board.kind == "chessboard":
         return _chessboard_print(board)
     if board.kind == "charuco":
-        return _charuco_print(board, is_legacy_charuco)
+        return _charuco_print(board, is_legacy_charuco, border)
     if board.kind == "aprilgrid":
-        return _aprilgrid_print(board, april_border_bits)
+        return _aprilgrid_print(board, border)
     if board.kind == "squares":
         return _squares_print(board)
     if board.kind == "puzzleboard":
@@ -165,9 +171,9 @@ def _puzzle_print(board: Board) -> CellPrint:
     return CellPrint(x_edges, y_edges, ink, discs)
 
 
-def _charuco_print(board: Board, is_legacy: bool) -> CellPrint:
+def _charuco_print(board: Board, is_legacy: bool, border_bits: int) -> CellPrint:
     dictionary = _aruco_dictionary(board.dictionary)
-    n_cells = dictionary.markerSize + 2
+    n_cells = dictionary.markerSize + 2 * border_bits
     side = board.marker_m / board.pitch_m
     inside = np.r_[0.0, (1 - side) / 2 + side * np.arange(n_cells + 1) / n_cells]
     n_block = n_cells + 2
@@ -179,7 +185,7 @@ def _charuco_print(board: Board, is_legacy: bool) -> CellPrint:
             if (row + column) % 2 == int(first_is_white):
                 ink[row, :, column, :] = 1
             else:
-                ink[row, 1:-1, column, 1:-1] = _marker_ink(dictionary, marker_id, board.dictionary)
+                ink[row, 1:-1, column, 1:-1] = _marker_ink(dictionary, marker_id, board.dictionary, border_bits)
                 marker_id += 1
     edges = [np.r_[(np.arange(n)[:, None] + inside).ravel(), n] for n in (board.columns, board.rows)]
     return CellPrint(edges[0], edges[1], ink.reshape(board.rows * n_block, board.columns * n_block))
@@ -220,11 +226,12 @@ def _aruco_dictionary(name: str):
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def _marker_ink(dictionary, marker_id: int, name: str) -> Int[ndarray, "cells cells"]:
-    """Cells of a marker with a black border of one cell; 1 is black."""
+def _marker_ink(dictionary, marker_id: int, name: str, border_bits: int = 1) -> Int[ndarray, "cells cells"]:
+    """Cells of a marker with its black border; 1 is black."""
     import cv2
 
     if marker_id >= len(dictionary.bytesList):
         raise ValueError(f"{name} has {len(dictionary.bytesList)} markers; the board needs at least {marker_id + 1}")
-    n_cells = dictionary.markerSize + 2
-    return (cv2.aruco.generateImageMarker(dictionary, marker_id, n_cells, borderBits=1) == 0).astype(int)
+    n_cells = dictionary.markerSize + 2 * border_bits
+    image = cv2.aruco.generateImageMarker(dictionary, marker_id, n_cells, borderBits=border_bits)
+    return (image == 0).astype(int)

@@ -70,8 +70,8 @@ class RenderOptions:
     bit_depth: Literal[8, 16] = 8
     is_legacy_charuco: bool = False
     """ChArUco layout of OpenCV before 4.6."""
-    april_border_bits: int = 2
-    """Black border cells of AprilGrid tags: 2 on Kalibr's sheets, 1 as tags are mostly printed elsewhere."""
+    border_bits: int | None = None
+    """Black border cells of markers; None: one of ChArUco boards, two of AprilGrids as on Kalibr's sheets."""
     shape: PrintedShape | None = None
     """How the sheet is bent and where its print lies; None: a plane, printed as drawn."""
     behind: Float[ndarray, "h w"] | None = field(default=None, compare=False)
@@ -84,8 +84,8 @@ class RenderOptions:
             raise ValueError(f"blur_kind must be 'gaussian' or 'disc'; got {self.blur_kind!r}")
         if self.bit_depth not in (8, 16):
             raise ValueError(f"bit_depth must be 8 or 16; got {self.bit_depth}")
-        if self.april_border_bits < 1:
-            raise ValueError(f"april_border_bits must be at least 1; got {self.april_border_bits}")
+        if self.border_bits is not None and self.border_bits < 1:
+            raise ValueError(f"border_bits must be at least 1; got {self.border_bits}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +163,7 @@ def _lay_sheet(
     rest = kernel.without(_SPREAD_PX**2 - 1 / (12 * _FINE**2))
     rows, columns = window
     patch = rays[:, rows.start - 1 : rows.stop + 1, columns.start - 1 : columns.stop + 1]
-    sheet = _cached_sheet(board, options.is_legacy_charuco, options.april_border_bits)
+    sheet = _cached_sheet(board, options.is_legacy_charuco, options.border_bits)
     board_light, coverage = _sample_board(patch, T_camera_board, board, sheet, options)
     board_light = blur_image(board_light, rest, scale=_FINE)
     height, width = coverage.shape
@@ -198,8 +198,8 @@ def _behind(
 
 
 @lru_cache(maxsize=8)
-def _cached_sheet(board: Board, is_legacy_charuco: bool, april_border_bits: int) -> Sheet:
-    return sheet_of(board, is_legacy_charuco=is_legacy_charuco, april_border_bits=april_border_bits)
+def _cached_sheet(board: Board, is_legacy_charuco: bool, border_bits: int | None) -> Sheet:
+    return sheet_of(board, is_legacy_charuco=is_legacy_charuco, border_bits=border_bits)
 
 
 def _sheet_window(

@@ -80,15 +80,15 @@ def board(
         bool, typer.Option("--legacy", help="ChArUco as OpenCV before 4.6 printed it; differs where the rows are even.")
     ] = False,
     tag_border: Annotated[
-        int,
+        int | None,
         typer.Option(
             "--tag-border",
-            help="AprilGrid: bits of black around a tag, 2 as Kalibr's or 1 as AprilTag's own.",
+            help="Bits of black around a marker: of AprilGrids 2 (default; Kalibr's) or 1 (AprilTag's own), of ChArUco 1 (default) or 2.",
             metavar="BITS",
             min=1,
             max=2,
         ),
-    ] = 2,
+    ] = None,
     inverted: Annotated[
         bool,
         typer.Option(
@@ -147,8 +147,10 @@ def board(
     parsed = parse_board(str(spec)) if recommended is None else recommended.board
     if legacy and parsed.kind != "charuco":
         raise typer.BadParameter("--legacy is a layout of ChArUco boards alone.")
-    if tag_border != 2 and (parsed.kind != "aprilgrid" or kalibr is not None):
-        raise typer.BadParameter("--tag-border 1 is of AprilGrids alone, and not as Kalibr looks for them.")
+    if tag_border is not None and parsed.kind not in ("aprilgrid", "charuco"):
+        raise typer.BadParameter("--tag-border is of AprilGrids and ChArUco boards.")
+    if tag_border == 1 and kalibr is not None:
+        raise typer.BadParameter("--tag-border 1 is not as Kalibr looks for tags: leave it out, or --kalibr.")
     if kalibr is not None and kalibr.suffix.lower() not in (".yaml", ".yml"):
         raise typer.BadParameter(f"--kalibr {kalibr} does not end in .yaml, as board files do.")
     if kalibr is not None and file is None:
