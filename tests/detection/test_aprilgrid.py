@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from binocal import detect
+from binocal.benchmark.marker_boards import draw_marker_board
 from binocal.boards import parse_board
 from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
 from binocal.detection.detect import stretch_8_bit
@@ -93,3 +94,11 @@ def test_another_family_from_another_id_on(shoot):
     assert found.is_seen.mean() > 0.97, found.reason
     # Only tag36h11's own up is known: of others OpenCV may hold it turned, which the layout allows for.
     assert np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.2
+
+
+def test_a_board_forty_times_as_large_at_one_end_is_found():
+    """Between the corners of its nearest tags lie those of codes and of a dozen far tags: neighbours are looked for farther away."""
+    scene = draw_marker_board("aprilgrid:6x6:40mm:0.3", "wide", 71, 3)
+    found = detect(scene.image, scene.board)
+    off = np.linalg.norm(found.points_px - scene.corners_px, axis=1)
+    assert np.isfinite(off).sum() >= 60 and np.nanmax(off) < 0.3  # measured 73 of 119

@@ -86,3 +86,11 @@ def test_two_equal_grids_are_said_to_be_two(shoot, spec):
     image = shoot(spec, size_wh=(640, 480), distance=2.0).image
     found = detect(np.hstack([image, image]), parse_board(spec))
     assert found.is_among_several and found.reason.startswith("more than one board in the image")
+
+
+def test_a_chessboards_squares_are_no_circles(shoot, monkeypatch):
+    image, board = shoot("chessboard:8x6:30mm", (0.1, -0.2, 0.1)).image, parse_board("acircles:3x5:30mm")
+    found = detect(image, board)
+    assert not found.is_found and "no equal circles" in found.reason
+    monkeypatch.setattr("binocal.detection.circles.are_equal_circles", lambda *_: True)
+    assert detect(image, board).is_found  # nothing else tells them apart

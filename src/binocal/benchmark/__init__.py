@@ -54,6 +54,12 @@ def _circles(**options: Any) -> dict[str, Any]:
     return run_circle_centres_benchmark(**options)
 
 
+def _markers(**options: Any) -> dict[str, Any]:
+    from binocal.benchmark.marker_corners import run_marker_corners_benchmark
+
+    return run_marker_corners_benchmark(**options)
+
+
 def _drift(**options: Any) -> dict[str, Any]:
     from binocal.benchmark.drift import run_drift_benchmark
 
@@ -148,6 +154,7 @@ BENCHMARKS: dict[str, Callable[..., dict[str, Any]]] = {
     "drift": _drift,
     "faults": _faults,
     "fisheye": _fisheye,
+    "markers": _markers,
     "natural": _natural,
     "pipeline": _pipeline,
     "plan": _plan,

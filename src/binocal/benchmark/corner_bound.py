@@ -16,21 +16,28 @@ def corner_bound(
     contrast_dn: float,
     noise_dn: float,
     radius_px: float,
+    strip_px: float = np.inf,
+    size_wh: tuple[float, float] = (np.inf, np.inf),
 ) -> Float[ndarray, "2 2"]:
     """Least covariance of an unbiased estimate of a corner's position, px^2 (Cramér-Rao).
 
+    Of the disc of ``radius_px`` those pixels tell that are within ``strip_px`` of an edge and in an image of ``size_wh``.
     ``blur_px`` is the Gaussian's sigma with pixel integration included, ``contrast_dn`` bright minus dark. Derivatives of
-    the position, the angles and the blur are those of the exact blurred pattern of two crossing edges.
+    the position, the angles and the blur are those of the exact blurred pattern of two crossing edges. NaN where
+    too few pixels tell.
     """
     from scipy.special import erf
 
     reach = int(np.ceil(radius_px)) + 1
     centre = np.rint(corner)
     v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1] + (centre - corner)[::-1, None, None]
-    inside = np.hypot(u, v) <= radius_px
-    u, v = u[inside], v[inside]
     normals = np.stack([-np.sin(edges_rad), np.cos(edges_rad)], axis=-1)
     along = np.stack([np.cos(edges_rad), np.sin(edges_rad)], axis=-1)
+    beside = np.minimum(*(np.abs(n[0] * u + n[1] * v) for n in normals))
+    x, y = u + corner[0], v + corner[1]
+    inside = (np.hypot(u, v) <= radius_px) & (beside <= strip_px)
+    inside &= (x >= 0) & (y >= 0) & (x <= size_wh[0] - 1) & (y <= size_wh[1] - 1)
+    u, v = u[inside], v[inside]
     d1, d2 = (n[0] * u / blur_px + n[1] * v / blur_px for n in normals)
     s1, s2 = (a[0] * u / blur_px + a[1] * v / blur_px for a in along)
     rho = float(normals[0] @ normals[1])
@@ -51,4 +58,6 @@ def corner_bound(
     turn1, turn2 = -F1 * s1 - joint * skew, -F2 * s2 + joint * skew
     columns = [half * c for c in (*position, turn1, turn2, F1 * d1 + F2 * d2)] + [np.ones_like(u), F, u, v]
     J = np.stack(columns)
+    if J.shape[1] < len(J):
+        return np.full((2, 2), np.nan)
     return noise_dn**2 * np.linalg.inv(J @ J.T)[:2, :2]

@@ -40,13 +40,19 @@ LEAST_SHARE = 0.3  # of the corners, that an image shows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerBoardScene:
-    """An image, its board, the true corners (NaN: outside), the distance to the nearest other one, and which are to be found."""
+    """An image, its board, the true corners (NaN: outside), the distance to the nearest other one, and which are to be found.
+
+    ``camera``, ``T_camera_board`` and ``options`` are what it was rendered with.
+    """
 
     image: UInt8[ndarray, "h w"]
     board: Board
     corners_px: Float[ndarray, "n 2"]
     spacing_px: Float[ndarray, "n"]
     is_visible: Bool[ndarray, "n"]
+    camera: Camera
+    T_camera_board: SE3
+    options: RenderOptions
 
 
 @dataclass(slots=True)
@@ -84,7 +90,7 @@ def draw_marker_board(spec: str, case: str, seed: int, index: int) -> MarkerBoar
     inside = ((corners > INSIDE_PX) & (corners < np.array(SIZE_WH) - 1 - INSIDE_PX)).all(axis=1)
     apart = np.linalg.norm(corners[:, None] - corners, axis=-1) + np.where(np.eye(len(corners)), np.inf, 0)
     spacing = np.where(np.isfinite(apart), apart, np.inf).min(axis=1)
-    return MarkerBoardScene(image, board, corners, spacing, inside & ~hidden)
+    return MarkerBoardScene(image, board, corners, spacing, inside & ~hidden, camera, T_camera_board, options)
 
 
 def _camera(case: str) -> Camera:

@@ -10,6 +10,7 @@ from binocal.boards.board import HOLE, LARGE
 from binocal.detection.finding.blobs import LARGE_BLOCKS, SMALL_BLOCKS, USUAL_BLOCKS, Blobs, find_blobs
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice, shows_another
 from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
+from binocal.detection.finding.equal_circles import GridSpots, are_equal_circles
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane, expected_points
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
@@ -42,6 +43,7 @@ def detect_circles(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
     size_wh = grey.shape[1], grey.shape[0]
     best: tuple[int, tuple[int, int]] | None = None
     fullest: tuple[int, FoundBoard, bool] | None = None
+    refused: FoundBoard | None = None
     n_most = 0
     is_mirrored = False
     for scale, is_dark, blocks in _LEVELS:
@@ -61,14 +63,14 @@ def detect_circles(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
                 if not board.marked_points and shows_another(lattices[k + 1 :], blobs.centres_px, board):
                     return several_boards(board)
                 found = _finish(grey, board, blobs, index, is_dark)
+                if not found.is_found:
+                    refused = refused or found
+                    continue
                 n_found = int(found.is_seen.sum())
-                if (
-                    n_found >= enough
-                    or not board.marked_points
-                    or _is_all_in_view(found, board, blobs.radii_px[index[index >= 0]], size_wh)
-                ):
+                radii_px = blobs.radii_px[index[index >= 0]]
+                if n_found >= enough or not board.marked_points or _is_all_in_view(found, board, radii_px, size_wh):
                     return found
-                if found.is_found and (fullest is None or n_found > fullest[0]):
+                if fullest is None or n_found > fullest[0]:
                     fullest = n_found, found, is_dark
                 continue
             (columns, rows), n_seen = measure_lattice(lattice, blobs.centres_px, board.kind)
@@ -82,6 +84,8 @@ def detect_circles(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
         return fullest[1]
     if is_mirrored:
         return not_found(board.n_points, MIRRORED)
+    if refused is not None:
+        return refused
     return _not_found(board, best, n_most)
 
 
@@ -142,6 +146,8 @@ def _finish(grey: ndarray, board: Board, blobs: Blobs, index: Int[ndarray, "n"],
     size_wh = grey.shape[1], grey.shape[0]
     if determine_plane(xy[seen]):
         options = LensFitOptions(has_one_unknown=bool(seen.sum() < N_FOR_WHOLE_LENS))
+        if not are_equal_circles(GridSpots(xy / board.pitch_m, ratio, measured, spots), size_wh, options):
+            return not_found(board.n_points, "the spots on the grid are no equal circles")
         centres[seen] -= measure_circle_shift(xy[seen], centres[seen], areas_px2[seen], size_wh, options, ratio[seen])
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     spacing = np.nanmin(np.where(np.isfinite(gaps), gaps, np.inf), axis=1)

@@ -23,6 +23,8 @@ MUCH_SATURATED = 0.6  # share of the image, from which it is named where no boar
 # add. Steps within a pixel are none that edges in photographs have: a third of the corners beside markers was lost, the others were off
 # by up to 0.11 px; blurred, all are found within 0.026 px.
 DRAWN_SHARE, LEAST_DRAWN_SHARE, DRAWING_BLUR_PX = 0.9, 0.05, 0.7
+STEP_PX, EDGE_PX = 2, 8  # from black to white: a drawn edge does it in two pixels, none that is blurred by 0.5 px does
+LEAST_STEPS = 0.05  # of the pairs across edges: 2/8 of them where edges lie between pixels, 1/7 where they cut pixels
 GREATEST_STRETCH = 4.0  # an 8-bit image has no more to give: beyond it rounding looks like corners
 
 
@@ -100,7 +102,16 @@ def soften_drawing(grey: ndarray) -> ndarray:
     ends = levels[used[[0, -1]]] / levels.sum()
     if len(used) < 2 or ends.min() < LEAST_DRAWN_SHARE or ends.sum() < DRAWN_SHARE:
         return grey
+    if _count_steps(grey, STEP_PX) < LEAST_STEPS * _count_steps(grey, EDGE_PX):
+        return grey
     return cv2.GaussianBlur(grey, (0, 0), DRAWING_BLUR_PX)
+
+
+def _count_steps(grey: ndarray, reach: int) -> int:
+    """Pairs of pixels that far apart in a row, one of the image's least value and one of its greatest."""
+    left, right = grey[:, :-reach], grey[:, reach:]
+    least, greatest = grey.min(), grey.max()
+    return sum(int(np.count_nonzero((a == least) & (b == greatest))) for a, b in ((left, right), (right, left)))
 
 
 def stretch(grey: ndarray) -> tuple[Float32[ndarray, "h w"], str]:

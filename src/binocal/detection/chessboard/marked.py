@@ -35,7 +35,7 @@ from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
 from binocal.kernels.corner_fits import BoardPlaces
 from binocal.kernels.marker_grids import FieldLens
-from binocal.shapes import Bool, Float, UInt8
+from binocal.shapes import Bool, Float, Float32, UInt8
 
 MOST_SADDLES_PER_CORNER, LEAST_SADDLES = 5, 1200
 MOST_GROUPS = 6  # of linked corners, that are looked at
@@ -94,7 +94,7 @@ def detect_marked_chessboard(
     refusal = _Refusal()
     for saddles, scale in scaled_saddles(image, _level_settings):
         corners, peaks = find_saddles(saddles, most=most)
-        level = saddles, scale, peaks
+        level = saddles.smooth, scale, peaks
         if sighting is None:
             sighting = _recognise(image, board, expected_px, (saddles, corners, scale), refusal)
             if sighting is None:
@@ -189,7 +189,7 @@ def _grow(
     sighting: _Sighting,
     grid: MarkerGrid,
     board: Board,
-    level: tuple[SaddleImage, float, Float[ndarray, "k 2"]],
+    level: tuple[Float32[ndarray, "h w"], float, Float[ndarray, "k 2"]],
     size_wh: tuple[int, int],
 ) -> None:
     """Over what the image at this scale has of the board, through the lens that suits it best."""

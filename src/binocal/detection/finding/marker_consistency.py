@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
+from binocal.detection.finding.crossings import median_of
 from binocal.detection.finding.marker_grid import MarkerGrid
 from binocal.kernels.marker_grids import FieldLens, predict_each
 from binocal.shapes import Bool, Float
@@ -40,10 +41,11 @@ def find_inconsistent(
     is_wrong = np.zeros(known.shape[:2], bool)
     for _ in range(MOST_ROUNDS):
         off = np.linalg.norm(predict_each(grid.lines, known, lens, _trust(sigma)) - known, axis=-1)
-        if not np.isfinite(off).any():
+        is_told = np.isfinite(off)
+        if not is_told.any():
             break
-        median = float(np.nanmedian(off / step))
-        if np.nanmedian(off / np.maximum(most * step, MOST_SCATTER_PX)) > 1:
+        median = median_of((off / step)[is_told])
+        if median_of((off / np.maximum(most * step, MOST_SCATTER_PX))[is_told]) > 1:
             return np.isfinite(points_px[:, 0])
         factor = np.where(_is_rim(np.isfinite(known[..., 0])), RIM_FACTOR, 1.0)
         ratio = np.nan_to_num(off / (np.maximum(factor * MOST_MEDIANS * median * step, LEAST_PX) + MOST_SIGMAS * sigma))
@@ -72,5 +74,5 @@ def _is_rim(is_known: Bool[ndarray, "rows columns"]) -> Bool[ndarray, "rows colu
 def _trust(sigma: Float[ndarray, "rows columns"]) -> Float[ndarray, "rows columns"]:
     """Weights: corners that are known ten times worse than most say little of their neighbours."""
     known = np.where(np.isfinite(sigma), sigma, 0)
-    typical = max(float(np.median(known[known > 0])), LEAST_MEDIAN_PX) if (known > 0).any() else 1.0
+    typical = max(median_of(known[known > 0]), LEAST_MEDIAN_PX) if (known > 0).any() else 1.0
     return typical**2 / (typical**2 + known**2)

@@ -17,6 +17,7 @@ from binocal.detection.finding.crossings import (
     count_visible,
     from_level,
     grow_known,
+    median_of,
     points_at,
     steps_at,
 )
@@ -31,8 +32,9 @@ from binocal.detection.finding.marker_codes import (
 )
 from binocal.detection.finding.marker_consistency import find_inconsistent
 from binocal.detection.finding.marker_grid import MarkerGrid
+from binocal.detection.finding.missing_corners import grow_missing
 from binocal.detection.finding.search import LevelSetting, scaled_saddles
-from binocal.detection.finding.xcorners import SaddleImage, find_saddles
+from binocal.detection.finding.xcorners import SaddleImage, XCorners, find_saddles
 from binocal.kernels import images
 from binocal.kernels.marker_grids import (
     FieldLens,
@@ -56,11 +58,9 @@ FIELDS_RAD = tuple(np.radians([0, 100, 140, 180]))
 LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to none
 MOST_COMPARED = 64  # faces by which lens and blur are chosen
 ENOUGH_SHARE = 0.9  # of the corners that should be seen
+MOST_LESS_READ = 4  # faces, than of the likeliest way of printing, for a way to be looked into further
 LEAST_GAIN = 0.02  # of a level, for the next one to be searched
 LEAST_CELL_PX = 0.85  # of a marker's code: below it chance reads as well
-FEW_FACES = (
-    4  # with fewer, corners farther away are tried as neighbours: seen very obliquely the nearest lie in one row
-)
 LEAST_KEPT = 0.85  # of the corners that markers predict; with fewer a note says so
 MOST_OFF, MOST_OFF_PER_PITCH = 0.35, 0.25  # sides, of a marker that is found behind a gap
 
@@ -188,17 +188,22 @@ def search_markers(
     sightings: list[MarkerSighting] = []
     n_markers, is_mirrored, n_before = 0, False, 0
     for saddles, scale in scaled_saddles(image, marker_level_settings):
-        peaks, faces = _find_faces(saddles, scale, most, least_side_px)
+        corners, peaks = find_saddles(saddles, most=most)
+        faces = _find_faces(saddles, corners, scale, least_side_px)
         readings = None
-        if not sightings:
+        for is_oblique in () if sightings else (False, True):
+            # Where all faces lie between codes' corners, the nearest, those of the board may be farther away.
+            if is_oblique:
+                faces = _find_faces(saddles, corners, scale, least_side_px, is_oblique=True)
             readings, reading, mirrored = _read_first(image, faces, grids, kinds, first_id, n_ids)
             is_mirrored |= mirrored
-            if reading is None:
-                continue
-            n_markers = max(n_markers, int(readings.is_sure.sum()))
-            if _show_several(readings):
-                return MarkerSearch([], n_markers=n_markers, is_several=True)
-            sightings = _vote(readings, reading, grids, least_sure)
+            if reading is not None:
+                n_markers = max(n_markers, int(readings.is_sure.sum()))
+                if _show_several(readings):
+                    return MarkerSearch([], n_markers=n_markers, is_several=True)
+                sightings = _vote(readings, reading, grids, least_sure)
+            if sightings or mirrored:
+                break
         for sighting in sightings:
             if readings is None:  # all sightings are read in one way
                 quads = faces.of(sighting.grid.is_dark == sighting.reading.is_inverted)
@@ -221,6 +226,7 @@ def search_markers(
             ):
                 break
             n_before = n_known
+    _complete(image, sightings, first_id)
     return MarkerSearch(sightings, is_mirrored and not sightings, n_markers)
 
 
@@ -234,27 +240,39 @@ def _show_several(readings: _Readings) -> bool:
     return n_twice >= max(LEAST_TWICE, TWICE_SHARE * len(np.unique(index)))
 
 
+def _complete(image: UInt8[ndarray, "h w"], sightings: list[MarkerSighting], first_id: int) -> None:
+    """Looks for corners that the likely ways of printing still miss."""
+    for sighting in sightings:
+        if sighting.n_read <= sightings[0].n_read - MOST_LESS_READ:
+            continue
+        way = sighting.reading
+        known = grow_missing(image, sighting.grid, sighting.known_px, way.lens, is_inverted=way.is_inverted)
+        if (
+            known is not sighting.known_px
+            and np.isfinite(known[..., 0]).sum() > np.isfinite(sighting.known_px[..., 0]).sum()
+        ):
+            sighting.known_px = known
+            _verify(image, sighting, first_id)
+    sightings.sort(key=lambda each: -each.n_read)
+
+
 def _find_faces(
-    saddles: SaddleImage, scale: float, most: int, least_side_px: float
-) -> tuple[Float[ndarray, "k 2"], _Faces]:
-    """Saddles of a level, in its pixels, and the faces between its linked X-corners, in the image's."""
-    corners, peaks = find_saddles(saddles, most=most)
-    for is_oblique in (False, True):
-        links = images.link_corners(
-            saddles.smooth,
-            corners.points_px,
-            corners.rays_rad,
-            corners.contrast_dn,
-            MAX_TURN_RAD,
-            has_markers=True,
-            is_oblique=is_oblique,
-        )
-        members, is_bright = find_faces(*links)
-        if len(members) >= FEW_FACES:
-            break
+    saddles: SaddleImage, corners: XCorners, scale: float, least_side_px: float, *, is_oblique: bool = False
+) -> _Faces:
+    """The faces between a level's linked X-corners, in the image's pixels; ``is_oblique`` looks farther for neighbours."""
+    links = images.link_corners(
+        saddles.smooth,
+        corners.points_px,
+        corners.rays_rad,
+        corners.contrast_dn,
+        MAX_TURN_RAD,
+        has_markers=True,
+        is_oblique=is_oblique,
+    )
+    members, is_bright = find_faces(*links)
     quads = from_level(corners.points_px, scale)[members]
     is_large = _areas(quads) >= least_side_px**2
-    return peaks, _Faces(quads[is_large], is_bright[is_large])
+    return _Faces(quads[is_large], is_bright[is_large])
 
 
 def _read_first(
@@ -315,7 +333,7 @@ def _are_enough(is_sure: Bool[ndarray, "n"], area: Float[ndarray, "n"]) -> bool:
     """Whether nearly all faces that are about as large as those read are read: no other way will read more."""
     if is_sure.sum() < LEAST_LIKELY:
         return False
-    return bool(is_sure.sum() >= ENOUGH_SHARE * (area >= 0.3 * np.median(area[is_sure])).sum())
+    return bool(is_sure.sum() >= ENOUGH_SHARE * (area >= 0.3 * median_of(area[is_sure])).sum())
 
 
 def _mirrored_score(values: Float32[ndarray, "n cells"], templates: CodeTemplates) -> float:
@@ -423,7 +441,7 @@ def _join(sighting: MarkerSighting, readings: _Readings) -> None:
 
 def _grow(sighting: MarkerSighting, saddles: SaddleImage, scale: float, peaks: Float[ndarray, "k 2"]) -> None:
     way = sighting.reading
-    level = saddles, scale, peaks
+    level = saddles.smooth, scale, peaks
     sighting.known_px = grow_known(sighting.grid, sighting.known_px, way.lens, way.is_inverted, level)
 
 
@@ -465,7 +483,7 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
     known = likeness[np.isfinite(likeness) & is_known.all(axis=1)]
     # On a board of other columns some rows fit, and those about them deny it.
     n_denied = int(np.count_nonzero(likeness < FOREIGN))
-    if len(known) == 0 or not np.median(known) > LEAST_MEDIAN or n_denied >= sighting.n_read:
+    if len(known) == 0 or not median_of(known) > LEAST_MEDIAN or n_denied >= sighting.n_read:
         sighting.known_px[:] = np.nan
         return
     borne, denied = np.zeros((rows + 2, columns + 2), bool), np.zeros((rows + 2, columns + 2), bool)

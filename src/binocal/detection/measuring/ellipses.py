@@ -26,6 +26,11 @@ class MeasuredSpots:
     centres_px: Float[ndarray, "n 2"]
     covariance_px2: Float[ndarray, "n 2 2"]
     areas_px2: Float[ndarray, "n"]
+    shape_residuals: Float[ndarray, "n"]
+    """What of the image about each outline no ellipse explains, alike on opposite sides, over the contrast; NaN where none was fitted.
+
+    Noise is not in it (half of it is odd about the centre): 0.01 of discs, 0.15 of squares.
+    """
 
 
 def measure_spots(
@@ -60,7 +65,8 @@ def measure_spots(
         )
         centres[is_open], areas[is_open] = centroids, area
         covariance[is_open] = centre_covariance(variance, centroids)
-    return MeasuredSpots(centres, covariance, areas)
+    even = np.sqrt(np.maximum(fits.centres.variance - fits.centres.odd_variance, 0.0))
+    return MeasuredSpots(centres, covariance, areas, even / np.abs(fits.centres.contrast_dn))
 
 
 def _gaps(

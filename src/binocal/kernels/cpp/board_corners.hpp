@@ -136,6 +136,29 @@ CornerResult fit_off_lines(const ImageView<Pixel>& image, CornerInput input, con
     return CornerFitter<Pixel>(image, input, work, looks_at_noise).fit();
 }
 
+// A corner beside markers that failed on its own: again from where the others' lens sees it and its edges, with the nearest one's blur and
+// contrast.
+template <typename Pixel>
+CornerResult fit_by_others(const ImageView<Pixel>& image, CornerInput input, const CornerResult* fits, std::ptrdiff_t n, std::ptrdiff_t self,
+                           const BoardPlaces& board, const ImageLens& lens, double step, bool looks_at_noise, Workspace& work) {
+    const CornerResult& nowhere = fits[self];
+    const double start[2] = {input.x, input.y}, *at = board.xy + 2 * self;
+    if (!std::isfinite(start[0]) || !std::isfinite(start[1])) return nowhere;
+    std::ptrdiff_t nearest = -1;
+    double least = std::numeric_limits<double>::infinity();
+    for (std::ptrdiff_t i = 0; i < n; ++i) {
+        const double square = (board.xy[2 * i] - at[0]) * (board.xy[2 * i] - at[0]) + (board.xy[2 * i + 1] - at[1]) * (board.xy[2 * i + 1] - at[1]);
+        if (std::isfinite(fits[i].x) && square < least) least = square, nearest = i;
+    }
+    if (nearest < 0 || !lens.project(lens.direction(at[0], at[1]), 6, input.x, input.y)) return nowhere;
+    if (!(std::hypot(input.x - start[0], input.y - start[1]) < std::max(1.5, 0.5 * input.reach))) return nowhere;
+    const Bends bends = bends_at(lens, at[0], at[1], step, input.x, input.y);
+    if (!bends.is_known) return nowhere;
+    double edges[2];
+    for (int axis : {0, 1}) edges[axis] = std::atan2(bends.tangent[axis][1], bends.tangent[axis][0]);
+    return CornerFitter<Pixel>(image, input, work, looks_at_noise).fit_like(fits[nearest], edges, bends.curvature);
+}
+
 template <typename Pixel>
 void fit_board_corners(const ImageView<Pixel>& image, const CornerInput* inputs, std::ptrdiff_t n, const BoardPlaces& board,
                        CornerResult* results) {
@@ -180,6 +203,16 @@ void fit_board_corners(const ImageView<Pixel>& image, const CornerInput* inputs,
         results[i] = fit_off_lines<Pixel>(image, inputs[i], results[i], lens, {board.xy[2 * i], board.xy[2 * i + 1]},
                                           board.pitch, is_picked(i, every), work);
         bend_at(i);
+    }
+    std::vector<CornerResult> by_others;
+    for (std::ptrdiff_t i = 0; i < n; ++i) {
+        if (std::isfinite(results[i].x) || !std::isfinite(inputs[i].strip)) continue;
+        by_others.push_back(fit_by_others<Pixel>(image, inputs[i], results, n, i, board, lens, step, is_picked(i, every), work));
+    }
+    for (std::ptrdiff_t i = n - 1; i >= 0 && !by_others.empty(); --i) {
+        if (std::isfinite(results[i].x) || !std::isfinite(inputs[i].strip)) continue;
+        results[i] = by_others.back();
+        by_others.pop_back();
     }
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         if (!bends[i].is_known) continue;

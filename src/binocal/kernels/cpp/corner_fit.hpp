@@ -119,6 +119,11 @@ constexpr double kFirstNoise = 0.05, kMostNoise = 0.1;  // of the start's half c
 constexpr double kLeastNoise_dn = 0.29;                 // rounding's
 constexpr double kNoiseStep = 1.3;                      // the noise is taken anew where it has changed by more than this factor
 constexpr int kLastNoiseEvaluation = 10;
+constexpr double kMostTone = 0.45;
+// In narrow bands beside markers the tone, the levels and the blur trade, and steps in them may end nowhere: a corner whose own step
+// is that short is found.
+constexpr double kSettled_px = 0.01;
+constexpr double kBlurByOthers = 0.25;  // standard deviation of a log blur about that of the corners beside it
 
 struct Equations {
     double gram[kColumns][kColumns];
@@ -402,6 +407,17 @@ class CornerFitter {
         return fit_from(begin(&first));
     }
 
+    // From where the others' lens sees the corner, its edges in these directions, with the blur and the contrast of a corner beside it.
+    //
+    // A ring about a corner between narrow squares shows their markers, and bands that are hardly wider than the blur do not tell the
+    // blur from the contrast.
+    CornerResult fit_like(const CornerResult& other, const double (&edges)[2], const double (&bend)[2]) {
+        greatest_ = kMaxRadius;
+        std::copy(bend, bend + 2, region_.bend);
+        prior_log_blur_ = 0.5 * std::log(other.blur1 * other.blur2);
+        return fit_from(begin_like(other, edges));
+    }
+
   private:
     enum class Progress { running, done, failed };
 
@@ -410,7 +426,8 @@ class CornerFitter {
         if (has_begun) {
             Progress progress = Progress::running;
             while (progress == Progress::running && n_evaluations_ < most_evaluations()) progress = iterate();
-            if (progress == Progress::done && is_a_corner() && describe(result)) return result;
+            const bool is_found = progress == Progress::done || (progress == Progress::running && is_settled());
+            if (is_found && is_a_corner() && describe(result)) return result;
         }
         std::fill_n(reinterpret_cast<double*>(&result), kResultSize, std::numeric_limits<double>::quiet_NaN());
         return result;
@@ -464,6 +481,51 @@ class CornerFitter {
         return true;
     }
 
+    // As begin, with edges and blur as told; the levels that fit them best.
+    bool begin_like(const CornerResult& other, const double (&edges)[2]) {
+        if (!(std::isfinite(input_.x) && std::isfinite(input_.y) && input_.reach > 0 && input_.strip > 0)) return false;
+        const double blur = std::exp(prior_log_blur_);
+        region_ = region_of(input_.x, input_.y, blur);
+        if (!(region_.radius >= kMinRadius)) return false;
+        contrast_ = std::fabs(other.contrast);
+        if (!(contrast_ > 0)) return false;
+        std::fill_n(p_, kParameters, 0.0);
+        p_[kX] = input_.x, p_[kY] = input_.y;
+        p_[kAngle1] = edges[0], p_[kAngle2] = edges[1];
+        p_[kBlur1] = p_[kBlur2] = prior_log_blur_;
+        p_[kContrast] = 1;
+        work_.patch.radius = 0;
+        clipping_ = Clipping{image_.bottom / contrast_, image_.top / contrast_, kFirstNoise};
+        evaluate(p_, current_);
+        const auto& G = current_.gram;
+        const double determinant = G[kOffset][kOffset] * G[kContrast][kContrast] - G[kOffset][kContrast] * G[kOffset][kContrast];
+        if (!(determinant > 1e-9 * G[kOffset][kOffset] * G[kContrast][kContrast])) return false;
+        const double b[2] = {G[kOffset][kParameters], G[kContrast][kParameters]};
+        p_[kOffset] += (G[kContrast][kContrast] * b[0] - G[kOffset][kContrast] * b[1]) / determinant;
+        p_[kContrast] += (G[kOffset][kOffset] * b[1] - G[kOffset][kContrast] * b[0]) / determinant;
+        cost_ = evaluate(p_, current_);
+        n_evaluations_ = 2;
+        return true;
+    }
+
+    // The information matrix and the gradient there, with all that is known beforehand.
+    void inform(double (&A)[kParameters][kParameters], double* gradient) const {
+        information(current_, p_, work_.patch.is_clipped, A, gradient);
+        if (!std::isfinite(prior_log_blur_)) return;
+        const double weight = current_.noise2 / (kBlurByOthers * kBlurByOthers);
+        for (int i : {kBlur1, kBlur2}) A[i][i] += weight, gradient[i] -= weight * (p_[i] - prior_log_blur_);
+    }
+
+    // Where steps have ended nowhere beside markers: whether the corner's own is as good as none.
+    bool is_settled() {
+        if (!std::isfinite(input_.strip) || greatest_ != kMaxRadius) return false;
+        if (!is_linearized_here_) cost_ = evaluate(p_, current_);
+        is_linearized_here_ = true;
+        damping_ = 0;
+        Step step;
+        return propose(step) && std::hypot(step.change[kX], step.change[kY]) < kSettled_px;
+    }
+
     // Equations at these parameters, and the residuals' weighted mean square.
     BINOCAL_INLINE double evaluate(const double* at, Equations& equations) {
         const Patch& patch = work_.patch;
@@ -501,12 +563,12 @@ class CornerFitter {
     // The damped step, shortened where it would be wild; false where its equations are singular.
     BINOCAL_INLINE bool propose(Step& step) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters];
-        information(current_, p_, work_.patch.is_clipped, A, gradient);
+        inform(A, gradient);
         for (int i = 0; i < kParameters; ++i) A[i][i] *= 1 + damping_;
         if (!factorize(A, L)) return false;
         double* change = step.change;
         solve(L, gradient, change);
-        if (hold_blurs(change, A, gradient)) {
+        if (hold_bounds(change, A, gradient)) {
             if (!factorize(A, L)) return false;
             solve(L, gradient, change);
         }
@@ -517,7 +579,7 @@ class CornerFitter {
         for (int i : {kBlur1, kBlur2}) shrink = std::min(shrink, 0.7 / std::max(1e-9, std::fabs(change[i])));
         for (int i = 0; i < kParameters; ++i) step.next[i] = p_[i] + shrink * change[i];
         for (int i : {kBlur1, kBlur2}) step.next[i] = std::max(step.next[i], kLeastLogBlur);
-        step.next[kTone] = std::min(0.45, std::max(-0.45, step.next[kTone]));
+        step.next[kTone] = std::min(kMostTone, std::max(-kMostTone, step.next[kTone]));
         step.shrink = shrink;
         step.moved = shrink * length;
         step.decrement = 0;
@@ -525,11 +587,13 @@ class CornerFitter {
         return true;
     }
 
-    // Holds those blurs that stand at their bound and would go below it: a step that counts on them never ends. Whether there are any.
-    bool hold_blurs(const double* change, double (&A)[kParameters][kParameters], double* gradient) const {
+    // Holds the blurs and the tone where they stand at a bound and would go beyond: a step that counts on them never ends. Whether any do.
+    bool hold_bounds(const double* change, double (&A)[kParameters][kParameters], double* gradient) const {
         bool holds = false;
-        for (int i : {kBlur1, kBlur2}) {
-            if (p_[i] > kLeastLogBlur || change[i] >= 0) continue;
+        for (int i : {kBlur1, kBlur2, kTone}) {
+            const bool is_beyond = i == kTone ? std::fabs(p_[i]) >= kMostTone && change[i] * p_[i] > 0
+                                              : p_[i] <= kLeastLogBlur && change[i] < 0;
+            if (!is_beyond) continue;
             for (int j = 0; j < kParameters; ++j) A[i][j] = A[j][i] = 0;
             A[i][i] = 1, gradient[i] = 0;
             holds = true;
@@ -618,7 +682,7 @@ class CornerFitter {
     // What is written of the fit; false where its information is singular.
     bool describe(CornerResult& r) const {
         double A[kParameters][kParameters], L[kParameters][kParameters], gradient[kParameters], inverse[4][kParameters];
-        information(current_, p_, work_.patch.is_clipped, A, gradient);
+        inform(A, gradient);
         if (!factorize(A, L)) return false;
         constexpr Parameter shown[4] = {kX, kY, kSlopeX, kSlopeY};
         for (int i = 0; i < 4; ++i) {
@@ -655,6 +719,7 @@ class CornerFitter {
     Region region_{};
     Clipping clipping_{};
     double p_[kParameters]{};
+    double prior_log_blur_ = std::numeric_limits<double>::quiet_NaN();  // by the corners beside it; NaN: nothing is known
     double contrast_ = 0;  // of the start, grey levels: the unit of values and costs
     Equations current_, trial_;
     double cost_ = 0, damping_ = 1e-3;
