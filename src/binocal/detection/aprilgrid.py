@@ -214,7 +214,8 @@ def _gap_seen(board: Board, tags: Int[ndarray, "m"], quads: Float[ndarray, "m 4 
     for tag, i in place.items():
         beside = [tag + 1] if (tag + 1) % board.columns else []
         for k in (place[other] for other in (*beside, tag + board.columns) if other in place):
-            edges = 0.25 * sum(quads[j, [1, 3]] - quads[j, 0] + (quads[j, 2] - quads[j, [3, 1]]) for j in (i, k))
+            pair = quads[[i, k]].mean(axis=0)
+            edges = 0.5 * (pair[[1, 3]] - pair[0] + pair[2] - pair[[3, 1]])
             if abs(np.linalg.det(edges)) > 1:
                 gaps.append(np.abs(np.linalg.solve(edges.T, quads[k].mean(axis=0) - quads[i].mean(axis=0))).max() - 1)
     return float(np.median(gaps)) if gaps else np.nan
