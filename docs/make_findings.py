@@ -97,6 +97,30 @@ EXPLANATIONS = {
         The principal point is where the optical axis meets the image; lenses are mounted within a few percent of the middle.
         A solve that puts it far away, and is sure of it, has explained something else by it: boards that stayed in one part
         of the image, or images that were cropped after they were taken. Crop-free images or more varied views help.""",
+    "lens-of-another-kind": """
+        `wide-field` solves for lenses of 110 to 220 degrees. Where every corner lies within 60 degrees of the axes, the corners
+        are fitted with an ordinary model as well. Where that is not decisively worse (Bayesian information criterion), what
+        both rigs differ by counts as one standard deviation; a warning says so from two on, or where the ordinary model is
+        decisively better.
+        A misfit that differs from view to view is then not taken for cameras that were not triggered together.""",
+    "rectangle-outside-image": """
+        The images have the size of the prior's cameras, and a corner was measured in an image, so it cannot lie outside. Rows
+        given before columns do this to nearly every set, and are named.""",
+    "rectangles-misread": """
+        The pairs are solved with attitudes that hardly count. Where the corners then miss their rectangle by more than a pixel and
+        0.5 % of its extent, the first eight pairs are read with left and right exchanged, with x and y exchanged, and each with a
+        rectangle of its own. A reading that leaves less than half is named; nothing is exchanged silently.""",
+    "attitudes-contradict-corners": """
+        The pairs are solved a second time with attitudes that hardly count (10 degrees). In the median pair the angles found so
+        lie as far from the attitudes as both standard deviations together allow: 0.7 to 1.3 times in sound sets. At three times
+        the attitudes are refused, for the rig would follow them, with standard deviations that mean nothing. Radians for degrees,
+        exchanged sides, exchanged yaw and pitch, and opposite signs are looked for and named.""",
+    "rectangles-do-not-fit": """
+        A pair whose corners, attitudes and rectangle contradict each other is left out by name. Where most are, those that are
+        left may agree by chance; and a noise of 2 % of the rectangle's extent is no measurement of its corners.""",
+    "attitudes-less-certain": """
+        As for attitudes that contradict the corners, at 1.5 to 3 times what both standard deviations allow, over eight pairs or
+        more. The rig is found with the attitudes counting as little as they agree, and its standard deviations say so.""",
     "rotation-undetermined": """
         The rotation between the cameras is known worse than one degree: rows of a rectified pair would not match. Usually the
         board was small in both images, or stayed in one place.""",
@@ -116,10 +140,11 @@ EXPLANATIONS = {
         images were looked at again for any other board, and show none that is recognised.""",
     "board-is-another": """
         Where no image shows the board, or few do, some of the others are looked at again for a chessboard, a ChArUco board, an
-        AprilGrid or a circle grid of any size. Two of them must agree. A chessboard and circles are proposed where detection finds
-        them under that very SPEC; a marker board where the ids of its markers fit the places at which they lie for one number of
-        columns only, and its number of rows where an image shows its end. The marker's side, which is measured to some percent,
-        is left to you. Markers in mirrored images cannot be read: the board is looked for in the mirrored image too.""",
+        AprilGrid, a circle grid or a square grid of any size. Two of them must agree. A chessboard, circles and
+        squares are proposed where detection finds them under that very SPEC; a marker board where the ids of
+        its markers fit the places at which they lie for one number of columns only, and its number of rows
+        where an image shows its end. The marker's side, which is measured to some percent, is left to you.
+        Markers in mirrored images cannot be read: the board is looked for in the mirrored image too.""",
     "markers-too-small": """
         The squares of a ChArUco board are found when they are 7 px wide. Its markers are read by their code: rendered
         sharp, all are read where a cell of the code is 2.5 px wide, half of them at 1.8 px, none at 1 px. Without markers it is

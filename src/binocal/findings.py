@@ -395,6 +395,36 @@ _KINDS = (
         _SIZE_OF_CORNERS, DataError,
     ),
     FindingKind(
+        "rectangle-outside-image", _R, "A rectangle's corner lies outside its image",
+        "pair {pair}: {camera} corner {corner} at ({x_px:.1f}, {y_px:.1f}) px lies outside the {width_px}x{height_px} image of the prior's "
+        "camera ({n_pairs} such {n_pairs:pair|pairs}); {remedy}.",
+        "check that the prior is of these cameras, and leave out pairs whose rectangle is not whole in both images", DataError,
+    ),
+    FindingKind(
+        "rectangles-misread", _R, "The corners of rectangles fit far better when they are read another way",
+        "the corners fit no rectangle to better than {noise_px:.1f} px, and to {other_px:.2g} px when read another way: {remedy}.",
+        "check the order of the arrays", InconsistentViewsError,
+    ),
+    FindingKind(
+        "attitudes-contradict-corners", _R, "The attitudes contradict what the corners tell",
+        "the attitudes lie {off_deg:.2g} deg from the angles that the corners tell, and are stated to {stated_deg:.2g} deg "
+        "({n_used} of {n_pairs} {n_pairs:pair|pairs} would fit); {remedy}.",
+        "state the sensor's true standard deviation, and check the unit, signs and order of the angles", InconsistentViewsError,
+    ),
+    FindingKind(
+        "rectangles-do-not-fit", _R, "Most pairs show no rectangle of these cameras",
+        "{n_used} of {n_pairs} {n_pairs:pair|pairs} {n_used:fits|fit} a rectangle, with a noise of {noise_px:.2g} px of {extent_px:.0f} px; "
+        "{remedy}.",
+        "check that pairs with one number show one rectangle that stands still, that left and right are of one moment, and that the prior "
+        "is of these cameras", InconsistentViewsError,
+    ),
+    FindingKind(
+        "attitudes-less-certain", _W, "The attitudes are less certain than stated",
+        "the attitudes lie {off_deg:.2g} deg from the angles that the corners tell, and are stated to {stated_deg:.2g} deg: the former was "
+        "taken for their standard deviation; {remedy}.",
+        "state the sensor's true standard deviation",
+    ),
+    FindingKind(
         "points-off-target", _R, "The corners are no image of the target's points in most views",
         "the {camera} corners are no image of the target's points in {n_off} of {n_views} views (first: {view}): the points' places, "
         "their units or their order are wrong; {remedy}.",
@@ -690,6 +720,12 @@ _KINDS = (
         "({over_sigma:.1f} standard deviations, RMS), and by {projection_px:.2g} px in projection: something changed between the views, "
         "or bends them alike; {remedy}.",
         "take the board at rest, all over the images, and check the focus and the mounts",
+    ),
+    FindingKind(
+        "lens-of-another-kind", _W, "The lenses may be of another kind than the method's model",
+        "the lenses may be of another kind than {model}: all corners lie where {other} fits as well or better ({other_px:.3g} px, {model} "
+        "{own_px:.3g} px), and its rig is {sigmas:.1f} standard deviations away, which those stated hold now; {remedy}.",
+        "calibrate with --calibrator lm, which picks the model",
     ),
     FindingKind(
         "lens-model-misfits", _W, "The lens bends light as its model cannot",

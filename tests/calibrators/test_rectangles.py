@@ -9,7 +9,14 @@ import pytest
 from jaxtyping import TypeCheckError
 
 import binocal
-from binocal.errors import DataError, DegenerateGeometryError, FormatError, NotConvergedError, OutputExistsError
+from binocal.errors import (
+    DataError,
+    DegenerateGeometryError,
+    FormatError,
+    InconsistentViewsError,
+    NotConvergedError,
+    OutputExistsError,
+)
 from binocal.evidence.rectangles import RectanglePairs
 from binocal.formats.rectangles_npz import read_rectangles, write_rectangles
 from binocal.geometry import so3
@@ -119,6 +126,79 @@ def test_a_far_small_rectangle_and_a_rough_attitude_are_refused():
         calibrate(truth.pairs, options={"noise_px": 0.3})
 
 
+def wrongly(change):
+    """Five pairs, whose angles are 6 degrees and their stated standard deviation 1 degree, with something exchanged."""
+    pairs = scene(5, 5).pairs
+    swapped = {
+        "nothing": {},
+        "sigma of zero": {"attitude_sigma_rad": np.zeros(5)},
+        "sigma of a tenth": {"attitude_sigma_rad": pairs.attitude_sigma_rad / 10},
+        "radians": {f"{s}_attitude_rad": np.radians(getattr(pairs, f"{s}_attitude_rad")) for s in ("left", "right")},
+        "signs": {f"{s}_attitude_rad": -getattr(pairs, f"{s}_attitude_rad") for s in ("left", "right")},
+        "yaw and pitch": {f"{s}_attitude_rad": getattr(pairs, f"{s}_attitude_rad")[:, ::-1] for s in ("left", "right")},
+        "attitudes": {"left_attitude_rad": pairs.right_attitude_rad, "right_attitude_rad": pairs.left_attitude_rad},
+        "corners": {"left_px": pairs.right_px, "right_px": pairs.left_px},
+        "shuffled": {"right_px": np.roll(pairs.right_px, 2, axis=0)},
+        "rows first": {"left_px": pairs.left_px[..., ::-1], "right_px": pairs.right_px[..., ::-1]},
+        "offset": {"left_px": pairs.left_px + [400.0, 0.0]},
+    }
+    return replace(pairs, **swapped[change])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            "sigma of zero",
+            r"are stated to 0 deg \(5 of 5 pairs would fit\); state the sensor's true standard deviation",
+        ),
+        ("sigma of a tenth", r"are stated to 0.1 deg .*state the sensor's true standard deviation"),
+        ("radians", "look like radians"),
+        ("signs", "of the opposite sign"),
+        ("yaw and pitch", "yaw and pitch look exchanged"),
+        ("attitudes", "those of left and right look exchanged"),
+        ("shuffled", r"attitudes lie .* deg from the angles"),
+        (
+            "corners",
+            r"better than .* px, and to 0.\d+ px when read another way: those of left and right look exchanged",
+        ),
+    ],
+)
+def test_numbers_that_contradict_each_other_are_refused(change, said):
+    assert not calibrate(wrongly("nothing")).findings
+    with pytest.raises(InconsistentViewsError, match=said):
+        calibrate(wrongly(change))
+
+
+def test_corners_outside_their_image_are_refused():
+    with pytest.raises(DataError, match=r"left corner \d at .* outside the 1280x1024 image .*check that the prior"):
+        calibrate(wrongly("offset"))
+    pairs = wrongly("rows first")
+    moved = pairs.left_px[0].copy()
+    moved[:, 1] += 1030 - moved[:, 1].max()  # beyond the image's height, not its width
+    with pytest.raises(DataError, match="x and y look exchanged: give columns before rows"):
+        calibrate(replace(pairs, left_px=np.concatenate([moved[None], pairs.left_px[1:]])))
+
+
+def test_attitudes_half_as_good_as_stated_count_less():
+    truth = scene(12, attitude_sigma_deg=2.0)
+    stated = replace(truth.pairs, attitude_sigma_rad=truth.pairs.attitude_sigma_rad / 2)
+    made = calibrate(stated)
+    (found,) = made.findings
+    assert found.code == "attitudes-less-certain" and 1.5 < found.figures["off_deg"] < 2.6
+    right = calibrate(replace(stated, attitude_sigma_rad=np.where(stated.attitude_sigma_rad > 0, np.radians(2.0), 0.0)))
+    assert made.covariance.sigma["rotation.y"] == pytest.approx(right.covariance.sigma["rotation.y"], rel=0.1)
+
+
+def test_pairs_of_different_rectangles_under_one_number_are_refused():
+    pairs, others = scene(4, 3).pairs, [scene(4, seed).pairs for seed in (4, 6, 7)]
+    left, right = pairs.left_px.copy(), pairs.right_px.copy()
+    for i, other in enumerate(others, start=1):
+        left[i], right[i] = other.left_px[i], other.right_px[i]
+    with pytest.raises(InconsistentViewsError, match="each pair looks as if it shows a rectangle of its own"):
+        calibrate(replace(pairs, left_px=left, right_px=right))
+
+
 def test_corners_on_a_line_are_named():
     truth = scene(2)
     left = truth.pairs.left_px.copy()
@@ -149,6 +229,12 @@ def test_the_file_comes_back_and_bad_ones_are_named(tmp_path):
         np.savez(path, **one | {name: value})
         with pytest.raises((FormatError, TypeCheckError), match=r"usable rectangles|type"):
             read_rectangles(path)
+    np.savez(path, **one | {"attitude_sigma_deg": np.array(-1.0)})
+    with pytest.raises(FormatError, match=r"attitude_sigma_deg must be 0 or more; write it .* several\.$"):
+        read_rectangles(path)
+    np.savez(path, **one | {"left_px": one["left_px"][:, [0, 2, 1, 3]]})
+    with pytest.raises(FormatError, match=r"in turn around the rectangle\.$"):
+        read_rectangles(path)
     path.write_bytes(b"PK\x03\x04 nonsense")
     with pytest.raises(FormatError, match="not a whole NumPy archive"):
         read_rectangles(path)

@@ -2,7 +2,8 @@
 
 Known are both cameras and the pose between them before they turned (the prior); an attitude sensor says roughly how each has turned.
 Each pair is solved as it comes (:mod:`binocal.solvers.turning_cameras`), and what it says of its rectangle is kept for the next pair
-that shows the same one. The rig is that of the last pair; the others are in the provenance.
+that shows the same one. Pairs whose corners contradict their attitudes are refused (:mod:`binocal.calibrators.rectangle_checks`). The
+rig is that of the last pair; the others are in the provenance.
 
 Source: the paper's related work [10], Wang, Wang & Yin 2019 (10.1063/1.5086352): a rough attitude, each camera's angles from the
 homography of one rectangle, yaw and pitch corrected through the fundamental matrix. Deviations: one most probable estimate from all
@@ -18,7 +19,10 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from binocal.acceptance import left_out_findings
 from binocal.calibrators.base import CalibrationRequest
+from binocal.calibrators.rectangle_checks import check_agreement, check_inside
+from binocal.calibrators.rectangle_pairs import follow, is_fitting, settle
 from binocal.calibrators.registry import refuse_unsuited
 from binocal.cameras import Camera, StereoRig, camera_model
 from binocal.errors import NotConvergedError
@@ -28,14 +32,10 @@ from binocal.geometry import SE3, so3
 from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration, ViewResult
 from binocal.shapes import Float
 from binocal.solvers.prior import RigPrior
-from binocal.solvers.turning_cameras import PairSolve, Rectangle, rig_at, rig_by_angles, solve_pair
+from binocal.solvers.turning_cameras import PairSolve, rig_at, rig_by_angles
 
 NAME = "rectangles"
 SIDES = ("left", "right")
-ASSUMED_NOISE_PX = 0.3  # of a corner, to begin with
-NOISE_ROUNDS = 3
-LEAST_NOISE_PX = 1e-3
-MOST_CHI2 = 8.0  # over the freedom: a pair beyond does not show what it should; the worst of 1200 good ones had 2.9
 MOST_TURN_SIGMA_DEG = 1.0
 BETTER = "keep the rectangle in view that the cameras saw before they turned, show a larger or nearer one, or use a better attitude sensor"
 STEP_SIGMA = 0.1  # of the prior, for derivatives by it
@@ -56,14 +56,14 @@ def calibrate_rectangles(evidence: RectanglePairs, request: CalibrationRequest) 
     stated = request.options.get("noise_px")
     if stated is not None and not stated > 0:
         raise ValueError(f"noise_px must be above 0; got {stated}")
-    noise_px = float(stated or ASSUMED_NOISE_PX)
-    solves = follow(prior.rig, pairs, noise_px)
-    for _ in range(0 if stated else NOISE_ROUNDS):
-        request.check_stop()
-        noise_px = _noise_px(solves)
-        solves = follow(prior.rig, pairs, noise_px, solves)
-    request.check_stop()
-    used = [i for i, solve in enumerate(solves) if solve is not None and _fits(solve)]
+    stated = None if stated is None else float(stated)
+    check_inside(prior.rig, pairs)
+    noise_px, solves = settle(prior.rig, pairs, stated, request.check_stop)
+    checked = check_agreement(prior.rig, pairs, solves, stated, request.check_stop)
+    if checked.pairs is not pairs:  # attitudes that count less
+        pairs = checked.pairs
+        noise_px, solves = settle(prior.rig, pairs, stated, request.check_stop)
+    used = [i for i, solve in enumerate(solves) if is_fitting(solve)]
     rejected = _rejected(pairs, solves)
     if not used:
         raise NotConvergedError(
@@ -85,52 +85,10 @@ def calibrate_rectangles(evidence: RectanglePairs, request: CalibrationRequest) 
         noise_px=noise_px,
         views=tuple(_view(pairs.names[i], solves[i]) for i in used),
         rejected=tuple(rejected),
+        findings=(*checked.findings, *left_out_findings(pairs.names, [pairs.names[i] for i in used], rejected)),
         n_iterations=len(used),
         provenance={"rectangles": _document(prior.rig, pairs, solves, used)},
     )
-
-
-def follow(
-    rig: StereoRig, pairs: RectanglePairs, noise_px: float, near: Sequence[PairSolve | None] = ()
-) -> list[PairSolve | None]:
-    """Every pair solved in its turn, each rectangle known from the pairs before; None where a pair has no solution.
-
-    A pair that does not fit says nothing of its rectangle. ``near`` are solves of nearly the same pairs to start from.
-    """
-    known: dict[int, Rectangle] = {}
-    solves: list[PairSolve | None] = []
-    for i, number in enumerate(pairs.rectangle.tolist()):
-        solve = solve_pair(
-            rig,
-            np.stack([pairs.left_px[i], pairs.right_px[i]]),
-            np.stack([pairs.left_attitude_rad[i], pairs.right_attitude_rad[i]]),
-            float(pairs.attitude_sigma_rad[i]),
-            noise_px,
-            known.get(number),
-            near[i] if near else None,
-        )
-        solves.append(solve)
-        if solve is not None and _fits(solve):
-            known[number] = solve.rectangle
-    return solves
-
-
-def _fits(solve: PairSolve) -> bool:
-    return solve.chi2 < MOST_CHI2 * solve.freedom
-
-
-def _noise_px(solves: Sequence[PairSolve | None]) -> float:
-    """Standard deviation of a coordinate from what all pairs leave; their median, so that a bad pair has no say."""
-    ratios = [float(np.sum(s.residuals_px**2)) / s.pixel_freedom for s in solves if s is not None]
-    if not ratios:
-        return ASSUMED_NOISE_PX
-    good = [
-        s
-        for s, ratio in zip((s for s in solves if s is not None), ratios, strict=True)
-        if ratio < 9 * np.median(ratios)
-    ]
-    total = sum(float(np.sum(s.residuals_px**2)) for s in good) / sum(s.pixel_freedom for s in good)
-    return max(float(np.sqrt(total)), LEAST_NOISE_PX)
 
 
 def _rejected(pairs: RectanglePairs, solves: Sequence[PairSolve | None]) -> list[RejectedView]:
@@ -138,7 +96,7 @@ def _rejected(pairs: RectanglePairs, solves: Sequence[PairSolve | None]) -> list
     for name, solve in zip(pairs.names, solves, strict=True):
         if solve is None:
             rejected.append(RejectedView(name, "its corners are no rectangle before both cameras at any distance"))
-        elif not _fits(solve):
+        elif not is_fitting(solve):
             off = np.sqrt(solve.chi2 / solve.freedom)
             rejected.append(
                 RejectedView(
@@ -161,7 +119,7 @@ def _covariance(
     """Of the intrinsics, as the prior has them, and of the pose: the last pair's own, and what the prior's errors make of it."""
     names, P = prior.names, np.linalg.inv(prior.information) if prior.names else np.zeros((0, 0))
     values, vectors = np.linalg.eigh(P) if len(P) else (np.zeros(0), np.zeros((0, 0)))
-    up_to = _first(pairs, last + 1)
+    up_to = pairs.select(range(last + 1))
     solve = solves[last]
     assert solve is not None  # it is used
     by_prior = np.zeros((6, len(names)))
@@ -184,18 +142,6 @@ def _covariance(
     matrix[-6:, -6:] += own
     pose = [f"{part}.{axis}" for part in ("rotation", "translation") for axis in "xyz"]
     return Covariance((*(names[i] for i in kept), *pose), 0.5 * (matrix + matrix.T))
-
-
-def _first(pairs: RectanglePairs, n: int) -> RectanglePairs:
-    return RectanglePairs(
-        pairs.left_px[:n],
-        pairs.right_px[:n],
-        pairs.left_attitude_rad[:n],
-        pairs.right_attitude_rad[:n],
-        pairs.attitude_sigma_rad[:n],
-        pairs.rectangle[:n],
-        pairs.names[:n],
-    )
 
 
 def _stepped(rig: StereoRig, names: Sequence[str], step: Float[ndarray, "p"]) -> StereoRig:

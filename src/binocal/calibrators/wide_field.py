@@ -18,6 +18,7 @@ from numpy import ndarray
 
 from binocal.calibrators.base import CalibrationRequest
 from binocal.calibrators.joint import calibrate_jointly
+from binocal.calibrators.lens_kind import OtherKind, other_kind
 from binocal.calibrators.registry import refuse_unsuited
 from binocal.cameras import StereoRig, camera_model
 from binocal.evidence import Detections
@@ -29,6 +30,9 @@ from binocal.solvers.board_views import BundleEstimate, BundleMinimum, BundlePro
 from binocal.solvers.minimization import LoopOptions, minimize
 
 NAME = "wide-field"
+TOGETHER = (
+    1.2  # of what each camera alone leaves: an ordinary lens that fits the pair so well leaves no motion to explain
+)
 MIN_CORNERS = 6  # of a view in one camera, for a pose of its own
 
 
@@ -41,6 +45,9 @@ def calibrate_wide_field(evidence: Detections, request: CalibrationRequest) -> S
     refuse_unsuited(NAME, request)
     calibration = calibrate_jointly(evidence, request, minimizer=_CamerasFirst())
     request.check_stop()
+    if (other := other_kind(calibration)) is not None:
+        calibration = _with_lenses_doubted(calibration, other, evidence, request)
+        request.check_stop()
     mean = mean_of_views(calibration)
     views = calibration.corners.detections
     errors = {
@@ -49,6 +56,27 @@ def calibrate_wide_field(evidence: Detections, request: CalibrationRequest) -> S
     }
     said = {"wide_field": {"binocular_mean_reprojection_error": errors}}
     return replace(calibration, provenance={**calibration.provenance, **said})
+
+
+def _with_lenses_doubted(
+    calibration: StereoCalibration, other: OtherKind, evidence: Detections, request: CalibrationRequest
+) -> StereoCalibration:
+    """The calibration of lenses that an ordinary model fits as well or better: it says so, and its standard deviations hold the difference.
+
+    Exposures that are apart to this model alone are taken for one moment.
+    """
+    exposure = calibration.exposure
+    is_in_question = exposure is not None and exposure.are_apart and request.exposure == "auto"
+    if exposure is not None and is_in_question and other.noise_px < TOGETHER * exposure.alone_px:
+        calibration = calibrate_jointly(evidence, replace(request, exposure="together"), minimizer=_CamerasFirst())
+        calibration = _without(calibration, "exposures-apart")
+        other = other_kind(calibration) or other
+    covariance = other.widened(calibration.covariance)
+    return replace(calibration, covariance=covariance, findings=(*other.findings, *calibration.findings))
+
+
+def _without(calibration: StereoCalibration, code: str) -> StereoCalibration:
+    return replace(calibration, findings=tuple(found for found in calibration.findings if found.code != code))
 
 
 def mean_of_views(calibration: StereoCalibration) -> StereoRig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +70,19 @@ class RectanglePairs(ArrayValue):
     def n_views(self) -> int:
         """The same, as every kind of evidence has it."""
         return len(self.names)
+
+    def select(self, rows: Sequence[int]) -> RectanglePairs:
+        """These pairs alone."""
+        i = np.array(rows, dtype=int)
+        return RectanglePairs(
+            self.left_px[i],
+            self.right_px[i],
+            self.left_attitude_rad[i],
+            self.right_attitude_rad[i],
+            self.attitude_sigma_rad[i],
+            self.rectangle[i],
+            tuple(self.names[k] for k in i),
+        )
 
     def in_one_turn(self) -> RectanglePairs:
         """The pairs with the corners of both images in the same turn around the rectangle, from the same corner.

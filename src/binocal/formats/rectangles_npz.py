@@ -70,8 +70,18 @@ def read_rectangles(path: str | Path) -> RectanglePairs:
             rectangle.astype(int),
             tuple(f"{i:0{width}d}" for i in range(n)),
         )
-    except (ValueError, DataError) as error:
-        raise FormatError(path, f"holds no usable rectangles: {error}; {REMEDY}.") from None
+    except DataError as error:
+        raise FormatError(path, f"holds no usable rectangles: {_in_words_of_the_file(error)}.") from None
+    except ValueError as error:
+        raise FormatError(path, f"holds no usable rectangles: {_in_words_of_the_file(error)}; {REMEDY}.") from None
+
+
+def _in_words_of_the_file(error: Exception) -> str:
+    """What is wrong, by the names that the arrays have in the file."""
+    text = " ".join(str(error).split()).rstrip(".")
+    for name in ARRAYS:
+        text = text.replace(name.replace("_deg", "_rad"), name)
+    return text
 
 
 def _arrays(path: Path) -> dict[str, ndarray]:

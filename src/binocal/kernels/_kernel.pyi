@@ -213,6 +213,7 @@ def link_corners(
     max_turn: float,
     has_markers: bool,
     is_oblique: bool,
+    has_dots: bool,
     neighbour: Indices,
     back_ray: Indices,
     /,
@@ -250,6 +251,7 @@ def grow_lattice(
     pitch: float,
     sign: float,
     free: float,
+    has_dots: bool,
     known: Floats,
     candidates: Floats,
     cx: float,
@@ -273,7 +275,9 @@ def fit_corners(
 ) -> None: ...
 def pool_corners(fits: Floats, are_corners: bool, pooled: Floats, /) -> float: ...
 def fit_ellipses(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
-def fit_squares(image: ndarray, bottom: float, top: float, inputs: Floats, results: Floats, /) -> None: ...
+def fit_squares(
+    image: ndarray, bottom: float, top: float, inputs: Floats, is_rough: bool, results: Floats, /
+) -> None: ...
 def fit_image_lens(
     board_xy: Floats,
     points: Floats,

@@ -31,11 +31,11 @@ _CODES = {
     "Views": (
         "rests-on-few-views", "few-different-poses", "views-copied", "many-views-left-out", "changed-from-view", "pairs-left-out",
     ),
-    "Fit": ("corners-without-weight", "corners-lock-to-pixels", "images-differ-in-noise"),
+    "Fit": ("attitudes-less-certain", "corners-without-weight", "corners-lock-to-pixels", "images-differ-in-noise"),
     "Board": ("board-not-as-drawn", "board-scale-uncertain", "aprilgrid-gap-wrong", "scale-doubtful"),
     "Exposures": ("exposures-apart", "rig-changed", "rig-drifts", "rig-has-two-states"),
     "Halves": ("halves-disagree",),
-    "Lens": ("lens-model-misfits", "model-choice-weak"),
+    "Lens": ("lens-of-another-kind", "lens-model-misfits", "model-choice-weak"),
     "Rays": ("lens-model-folds",),
     "Residuals": ("residuals-correlated",),
     "Depth": ("focal-length-uncertain",),
