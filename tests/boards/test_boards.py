@@ -1,5 +1,6 @@
 """Board specifications and point orders."""
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -91,6 +92,30 @@ def test_other_families_and_first_ids_are_read(tmp_path):
     path.write_text(path.read_text().replace("24", "-1"))
     with pytest.raises(FormatError, match="startId must be a whole number"):
         load_board(str(path))
+    path.write_text(path.read_text().replace("startId: -1", "codeOffset: 7"))  # as in Kalibr's own examples
+    assert load_board(str(path)).first_tag_id == 7
+    path.write_text(path.read_text().replace("36h10", "t25h9"))
+    with pytest.raises(FormatError, match="tagFamily 't25h9' is not a known tag family"):
+        load_board(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "target_type: aprilgrid\ntagCols: 4\ntagRows: 3\ntagSize: 0.03\ntagSpacing: 0.3\nstartID: 3\n",
+            "did you mean startId?",
+        ),
+        ("board: chessboard:9x6:30mm\nmeasured: 1\n", "unknown key 'measured'; known are board"),
+        ("target_type: circlegrid\ntargetCols: 4\ntargetRows: 3\nspacingMeters: 0.03\ntagCols: 3\n", "'tagCols'"),
+    ],
+)
+def test_a_key_that_is_not_known_is_refused_by_name(tmp_path, text, words):
+    """It was read as if it were not there: ids from 0 on."""
+    path = tmp_path / "target.yaml"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=re.escape(words)):
+        load_board(str(path))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +135,7 @@ def test_a_target_file_says_family_and_first_id_where_they_are_not_kalibrs(tmp_p
         ("aprilgrid:4x3:30mm:0.3:tag99h1", "not a known tag family"),
         ("aprilgrid:4x3:30mm:0.3:24:24", "too many fields"),
         ("charuco:8x6:30mm:22mm:DICT_5X5_50:x", "no first id"),
-        ("charuco:8x6:30mm:22mm:DICT_5X5_50:40", "50 markers, but the board bears 64"),
+        ("charuco:8x6:30mm:22mm:DICT_5X5_50:40", "50 markers, but the board needs ids up to 63; DICT_5X5_100 would"),
     ],
 )
 def test_bad_families_and_ids_are_named(spec, words):
@@ -180,7 +205,10 @@ def test_a_board_without_a_spec_needs_a_dictionary_too():
     ("spec", "words"),
     [
         ("charuco:5x7:30mm:22mm:DICT_5X5", r"'DICT_5X5' is not an ArUco dictionary.*DICT_5X5_50"),
-        ("charuco:20x30:30mm:22mm:DICT_5X5_100", r"has 100 markers, but the board bears 300; DICT_\dX\d_1000"),
+        (
+            "charuco:20x30:30mm:22mm:DICT_5X5_100",
+            r"has 100 markers, but the board needs ids up to 299; DICT_\dX\d_1000",
+        ),
         ("aprilgrid:6x6:88mm:nan", "gap between tags"),
         ("aprilgrid:6x6:88mm:inf", "gap between tags"),
         ("aprilgrid:6x6:88mm:-1", "gap between tags"),

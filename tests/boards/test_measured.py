@@ -54,6 +54,7 @@ def test_a_board_without_a_scale_gets_one():
     ("measured", "text"),
     [
         ((0.18, 0.14), "A-B measures 180mm and should have 200mm, which is more than 5 % off"),
+        ((0.1, 2.0), "A-B measures 100mm and should have 200mm and A-C measures 2000mm and should have 140mm"),
         ((0.2, 0.12), "A-C measures 120mm and should have 140mm"),
         ((0.14, 0.2), "are they exchanged"),
     ],

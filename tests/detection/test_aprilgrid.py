@@ -46,6 +46,15 @@ def test_a_wrong_gap_or_size_is_refused(shoot):
     image = shoot(SPEC, size_wh=(960, 720)).image
     assert not detect(image, parse_board("aprilgrid:4x5:40mm:0.3")).is_found
     assert "gap 1" in detect(image, parse_board("aprilgrid:5x4:40mm:1.0")).reason
+    reason = detect(image, parse_board("aprilgrid:5x4:40mm:0.5")).reason
+    assert reason == "its tags lie about 0.30 of their side apart, the SPEC says 0.5; measure the gap"
+
+
+def test_two_equal_boards_are_said_to_be_two(shoot):
+    """The reason was: only 1 tag of the board found."""
+    image = shoot(SPEC, size_wh=(640, 480), distance=1.7).image
+    found = detect(np.hstack([image, image]), parse_board(SPEC))
+    assert found.is_among_several and found.reason.startswith("more than one board in the image")
 
 
 def test_other_ids_are_named(shoot):

@@ -116,6 +116,13 @@ def test_markers_that_the_saturated_paper_runs_into_give_no_corner(shoot):
         assert np.nanmax(np.abs(found.points_px - shot.corners_px)) < 0.1  # up to 2 px where they were kept
 
 
+def test_two_equal_boards_are_said_to_be_two(shoot):
+    """One of them was taken."""
+    image = shoot(SPEC, size_wh=(640, 480), distance=1.7).image
+    found = detect(np.hstack([image, image]), parse_board(SPEC))
+    assert found.is_among_several and found.reason.startswith("more than one board in the image")
+
+
 def test_an_inverted_print_is_found_and_a_mirror_image_named(shoot):
     shot = shoot(SPEC, size_wh=(800, 600), distance=1.9)
     found = detect(255 - shot.image, shot.board)

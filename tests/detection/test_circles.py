@@ -80,6 +80,14 @@ def test_a_chessboard_is_no_circle_grid(shoot):
     assert "no circle grid" in detect(shoot("chessboard:9x6:30mm").image, parse_board("circles:8x5:30mm")).reason
 
 
+@pytest.mark.parametrize("spec", ["circles:7x5:30mm", "acircles:4x7:20mm", "squares:4x3:30mm:30mm"])
+def test_two_equal_grids_are_said_to_be_two(shoot, spec):
+    """One of them was taken, and in the other camera's image perhaps the other one."""
+    image = shoot(spec, size_wh=(640, 480), distance=2.0).image
+    found = detect(np.hstack([image, image]), parse_board(spec))
+    assert found.is_among_several and found.reason.startswith("more than one board in the image")
+
+
 def test_a_chessboards_squares_are_no_circles(shoot, monkeypatch):
     image, board = shoot("chessboard:8x6:30mm", (0.1, -0.2, 0.1)).image, parse_board("acircles:3x5:30mm")
     found = detect(image, board)

@@ -29,7 +29,7 @@ def check_tag_family(name: str, n_tags: int) -> None:
 
 
 def check_dictionary(name: str, n_markers: int = 0) -> None:
-    """Refuses a dictionary that does not exist, or has fewer markers than a board bears.
+    """Refuses a dictionary that does not exist, or has fewer markers than a board's ids, from 0 to ``n_markers`` - 1, need.
 
     Raises:
         ValueError: It is unknown or too small; the text names ones that fit.
@@ -42,5 +42,9 @@ def check_dictionary(name: str, n_markers: int = 0) -> None:
         raise ValueError(
             f"{name[:40]!r} is not an ArUco dictionary; OpenCV's own end in their size, such as {', '.join(same)}"
         )
-    remedy = "" if not fitting else f"; {fitting[0]} would have enough"
-    raise ValueError(f"{name} has {DICTIONARY_SIZES[name]} markers, but the board bears {n_markers}{remedy}")
+    family = name.rpartition("_")[0]
+    same = [known for known in fitting if known.startswith(f"{family}_")]
+    remedy = f"; {(same or fitting)[0]} would have enough" if fitting else ""
+    raise ValueError(
+        f"{name} has {DICTIONARY_SIZES[name]} markers, but the board needs ids up to {n_markers - 1}{remedy}"
+    )

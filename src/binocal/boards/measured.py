@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from binocal.boards.board import Board, format_length, parse_length
+from binocal.boards.board import Board, parse_length
 
 MOST_OFF = 0.05  # printers scale by a percent; more is another distance
 
@@ -73,7 +73,7 @@ def board_as_measured(board: Board, measured_m: tuple[float, float]) -> tuple[Bo
     crossed = measured_m[1] / drawn[0] - 1, measured_m[0] / drawn[1] - 1
     remedy = "are they exchanged?" if max(map(abs, crossed)) <= MOST_OFF else "measure them, or correct the SPEC."
     wrong = " and ".join(
-        f"{name} measures {format_length(round(measured, 7))} and should have {format_length(round(length, 7))}"
+        f"{name} measures {1e3 * measured:.6g}mm and should have {1e3 * length:.6g}mm"
         for name, measured, length, by in zip(("A-B", "A-C"), measured_m, drawn, off, strict=True)
         if abs(by) > MOST_OFF
     )

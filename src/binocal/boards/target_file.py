@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from binocal.boards.board import Board, parse_board
+from binocal.boards.dictionaries import TAG_FAMILIES
 from binocal.errors import FormatError
 from binocal.input_file import check_ordinary, exists, read_text
 from binocal.yaml_text import parse_yaml
 
+_KEYS = {
+    "board": ("board",),
+    "aprilgrid": ("target_type", "tagCols", "tagRows", "tagSize", "tagSpacing", "tagFamily", "startId", "codeOffset"),
+    "checkerboard": ("target_type", "targetCols", "targetRows", "rowSpacingMeters", "colSpacingMeters"),
+    "circlegrid": ("target_type", "targetCols", "targetRows", "spacingMeters", "asymmetricGrid"),
+}
 MOST_BYTES = 64 << 10  # a target file has ten lines
 
 
@@ -36,11 +44,26 @@ def load_board(spec_or_path: str) -> Board:
     if not isinstance(content, Mapping):
         raise FormatError(path, "is not a board: expected `board: SPEC` or a Kalibr target")
     try:
+        _check_keys(content)
         return parse_board(str(content["board"])) if "board" in content else _parse_kalibr_target(content)
     except (KeyError, ValueError) as error:
         raise FormatError(
             path, f"is not a board: {error if not isinstance(error, KeyError) else f'{error} is missing'}"
         ) from None
+
+
+def _check_keys(content: Mapping[str, Any]) -> None:
+    """Refuses keys that the file's kind of board does not have: a misspelt one would be as good as absent.
+
+    Raises:
+        ValueError: There is one; the text names those that are known.
+    """
+    known = _KEYS.get("board" if "board" in content else str(content.get("target_type")))
+    unknown = [str(key)[:40] for key in content if known is not None and key not in known]
+    if known is not None and unknown:
+        near = get_close_matches(unknown[0], known, 1, 0.7)
+        advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+        raise ValueError(f"unknown key {unknown[0]!r}; {advice}")
 
 
 def _parse_kalibr_target(target: Mapping[str, Any]) -> Board:
@@ -108,15 +131,19 @@ def format_kalibr_target(board: Board) -> str:
 
 def _tag_family(target: Mapping[str, Any]) -> str:
     """``tagFamily``, as 36h11 or tag36h11; Kalibr's own files have none."""
-    name = str(target.get("tagFamily", "tag36h11"))
-    return name if name.startswith("tag") else f"tag{name}"
+    given = str(target.get("tagFamily", "tag36h11"))
+    name = given if given.startswith("tag") else f"tag{given}"
+    if name not in TAG_FAMILIES:
+        raise ValueError(f"tagFamily {given[:40]!r} is not a known tag family; those are {', '.join(TAG_FAMILIES)}")
+    return name
 
 
 def _first_id(target: Mapping[str, Any]) -> int:
-    """``startId``; Kalibr's own files have none."""
-    value = target.get("startId", 0)
+    """``startId``; Kalibr's own files say ``codeOffset``, or nothing."""
+    key = "startId" if "startId" in target else "codeOffset"
+    value = target.get(key, 0)
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"startId must be a whole number from 0 on; got {str(value)[:40]!r}")
+        raise ValueError(f"{key} must be a whole number from 0 on; got {str(value)[:40]!r}")
     return value
 
 

@@ -72,7 +72,7 @@ def images_document(evaluation: ImageEvaluation) -> dict[str, Any]:
         "row_error_px": None if row is None else {"rms": row.rms_px, "median": row.median_px},
         "relative_length_error_percent": {"rms": length.scale_rms_percent, "mean": length.scale_mean_percent},
         "n_views": length.n_views,
-        "single_side_error_percent": length.side_rms_percent,
+        "single_side_error_percent": length.side_rms_percent if length.n_sides else None,
         "n_sides": length.n_sides,
         "views": [
             {"name": name, "rms_px": rms_px, "length_error_percent": percent}

@@ -135,7 +135,9 @@ def images_text(evaluation: ImageEvaluation, is_metric: bool) -> str:
             f"{length.scale_rms_percent:.4f} %",
             f"mean {length.scale_mean_percent:+.4f}, {counted(length.n_views, 'view')}{against}",
         ),
-        ("error of a single side (RMS)", f"{length.side_rms_percent:.3f} %", f"{length.n_sides} sides"),
+        ("error of a single side (RMS)", f"{length.side_rms_percent:.3f} %", f"{length.n_sides} sides")
+        if length.n_sides
+        else ("error of a single side (RMS)", "unknown", "no two neighbouring points seen"),
     ]
     table = format_table(("criterion", "", ""), rows, align="lrl")
     lines = [f"warning: {one_line(found.text)}" for found in evaluation.findings]

@@ -22,7 +22,7 @@ from binocal.detection.finding.planes import grid_residuals
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.finding.strays import find_strays, stray_note
 from binocal.detection.finding.xcorners import read_rings
-from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.found import FoundBoard, not_found, several_boards
 from binocal.detection.measuring.refinement import corner_covariance, measure_corners, refine_corners
 from binocal.kernels.corner_fits import BoardPlaces
 from binocal.shapes import Bool, Float, Int, UInt8
@@ -34,6 +34,7 @@ L_CORNER_BIAS_PX = (
 MUCH_MORE = 1.5  # times as many tags with the narrow border as with the wide one, for it to be the board's
 LEAST_MORE_READ = 2  # tags that must be where one layout demands them and not where another does, for it to be believed
 LAYOUT_UNKNOWN = "which way the ids run cannot be seen in this image; from the bottom taken"
+MOST_GAP_OFF = 0.05  # of the distance of tags, for the SPEC's gap to be blamed where no corner could be measured
 MIRRORED = "the image shows the board mirrored; give the images as the cameras took them"
 MAX_STRAY = 0.5  # greatest distance from a smooth plane, tag sides: above it some tag may be none of the board's
 MAX_MISFIT = 0.2  # median distance from a smooth plane, tag sides: a wrong hypothesis is off by a whole tag
@@ -72,12 +73,19 @@ def _detect_by_lattice(
     grids = [april_grid(board, each.is_bottom_up, each.turns, _border_share(board, 1)) for each in layouts]
     kinds = [CodeKind(board.marker_dictionary, border_bits, 0.0, board.tag_gap_ratio) for border_bits in (2, 1)]
     search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else MIN_TAGS)
+    if search.is_several:
+        return several_boards(board), None, False
     if not search.sightings:
         return None, None, search.is_mirrored
     best, is_alone = choose_way(search.sightings, LEAST_MORE_READ)
     is_proved = layout is None and is_alone
     found = _measure_lattice(grey, board, best)
-    if found.is_found:
+    if not found.is_found:
+        column, row = np.moveaxis(best.grid.crossings, -1, 0)
+        quads = best.known_px[row, column]
+        is_whole = np.isfinite(quads).all(axis=(1, 2))
+        found = _blame_gap(found, board, np.flatnonzero(is_whole), quads[is_whole])
+    else:
         around = read_surroundings(stretched, board, best)
         if around.reason:
             other = replace(not_found(board.n_points, around.reason), spec_seen=around.spec or "?")
@@ -128,6 +136,8 @@ def _detect_by_tags(
     rough[index.ravel()] = quads.reshape(-1, 2)
     side[index.ravel()] = np.repeat(np.linalg.norm(quads - np.roll(quads, -1, axis=1), axis=-1).min(axis=1), 4)
     found = _measure_tags(grey, stretched, board, rough, side, border_bits)
+    if not found.is_found:
+        return _blame_gap(found, board, tags, quads), proved
     notes = [found.note] if found.note else []
     if layout is None and proved is None:
         notes = [LAYOUT_UNKNOWN]
@@ -186,6 +196,29 @@ def _find_strays(board: Board, tags: ndarray, quads: ndarray, size_wh: tuple[int
     strays = (find_strays(xy[_point_indices(board, tags, choice)], quads, size_wh) for choice in _LAYOUTS)
     is_stray = min(strays, key=np.count_nonzero)
     return nowhere if is_stray.all() else is_stray
+
+
+def _blame_gap(found: FoundBoard, board: Board, tags: Int[ndarray, "m"], quads: Float[ndarray, "m 4 2"]) -> FoundBoard:
+    """A board whose corners could not be measured, because of the SPEC's gap where the tags contradict it."""
+    gap = _gap_seen(board, tags, quads)
+    if not abs(gap - board.tag_gap_ratio) > MOST_GAP_OFF * (1 + board.tag_gap_ratio):
+        return found
+    text = f"its tags lie about {gap:.2f} of their side apart, the SPEC says {board.tag_gap_ratio:g}; measure the gap"
+    return not_found(board.n_points, text)
+
+
+def _gap_seen(board: Board, tags: Int[ndarray, "m"], quads: Float[ndarray, "m 4 2"]) -> float:
+    """The gap between neighbouring tags over their side, as far as a plane about each pair tells; NaN without neighbours."""
+    place = {int(tag): i for i, tag in enumerate(tags)}
+    gaps = []
+    for tag, i in place.items():
+        beside = [tag + 1] if (tag + 1) % board.columns else []
+        for k in (place[other] for other in (*beside, tag + board.columns) if other in place):
+            pair = quads[[i, k]].mean(axis=0)
+            edges = 0.5 * (pair[[1, 3]] - pair[0] + pair[2] - pair[[3, 1]])
+            if abs(np.linalg.det(edges)) > 1:
+                gaps.append(np.abs(np.linalg.solve(edges.T, quads[k].mean(axis=0) - quads[i].mean(axis=0))).max() - 1)
+    return float(np.median(gaps)) if gaps else np.nan
 
 
 def _residuals(board: Board, tags: ndarray, quads: ndarray, layout: TagLayout) -> tuple[float, float]:

@@ -26,7 +26,7 @@ from binocal.detection.finding.planes import apply_homography, grid_residuals
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.finding.strays import find_strays, stray_note
 from binocal.detection.finding.xcorners import read_rings
-from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.found import FoundBoard, not_found, several_boards
 from binocal.detection.measuring.refinement import measure_corners
 from binocal.kernels.corner_fits import BoardPlaces
 from binocal.shapes import Bool, Float, Int, UInt8
@@ -92,6 +92,8 @@ def _detect_by_lattice(
     inset = grids[0].free
     kinds = [CodeKind(board.dictionary, border_bits, inset, inset / (1 - 2 * inset)) for border_bits in (1, 2)]
     search = search_markers(stretched, grids, kinds, board.first_tag_id, least_sure=1 if layout else LEAST_SURE)
+    if search.is_several:
+        return several_boards(board), "", False
     if not search.sightings:
         return None, "", search.is_mirrored
     best, is_alone = choose_way(search.sightings, LEAST_MORE_READ)

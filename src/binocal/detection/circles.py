@@ -8,13 +8,13 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.boards.board import HOLE, LARGE
 from binocal.detection.finding.blobs import LARGE_BLOCKS, SMALL_BLOCKS, USUAL_BLOCKS, Blobs, find_blobs
-from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
+from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice, shows_another
 from binocal.detection.finding.circle_marks import LEAST_MARKED, match_marked
 from binocal.detection.finding.equal_circles import GridSpots, are_equal_circles
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane, expected_points
 from binocal.detection.finding.point_lattice import grow_point_lattices
 from binocal.detection.finding.regularity import keep_regular
-from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.found import FoundBoard, not_found, several_boards
 from binocal.detection.measuring.circle_shift import measure_circle_shift
 from binocal.detection.measuring.ellipses import measure_spots
 from binocal.kernels.image_lens import LensFitOptions
@@ -51,7 +51,8 @@ def detect_circles(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
             continue  # at full size more of its circles may be seen
         blobs = find_blobs(stretched, is_dark=is_dark, scale=scale, blocks=blocks)
         n_most = max(n_most, len(blobs))
-        for lattice in grow_point_lattices(blobs.centres_px, blobs.radii_px, size_wh, least=least, enough=enough):
+        lattices = grow_point_lattices(blobs.centres_px, blobs.radii_px, size_wh, least=least, enough=enough)
+        for k, lattice in enumerate(lattices):
             if board.marked_points:
                 index, is_mirror = match_marked(lattice, blobs, board, size_wh)
                 is_mirrored |= is_mirror
@@ -59,6 +60,8 @@ def detect_circles(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
             else:
                 index = match_circles(lattice, blobs.centres_px, board)
             if index is not None:
+                if not board.marked_points and shows_another(lattices[k + 1 :], blobs.centres_px, board):
+                    return several_boards(board)
                 found = _finish(grey, board, blobs, index, is_dark)
                 if not found.is_found:
                     refused = refused or found

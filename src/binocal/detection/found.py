@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.boards import Board
 from binocal.shapes import Bool, Float
 from binocal.values import ArrayValue, frozen_array
 
@@ -62,3 +63,10 @@ class FoundBoard(ArrayValue):
 def not_found(n_points: int, reason: str, *, size_seen: tuple[int, int] | None = None) -> FoundBoard:
     """A board that was not found, and why."""
     return FoundBoard(np.full((n_points, 2), np.nan), np.full((n_points, 2, 2), np.nan), reason, size_seen=size_seen)
+
+
+def several_boards(board: Board) -> FoundBoard:
+    """A board that was not found because an image shows it more than once."""
+    more = ", or print them with different ids" if board.kind in ("charuco", "aprilgrid") else ""
+    text = f"more than one board in the image; show one at a time, or cover the others{more}"
+    return replace(not_found(board.n_points, text), is_among_several=True)

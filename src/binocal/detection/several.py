@@ -18,7 +18,8 @@ def detect_boards(image: ndarray, boards: BoardSet | Sequence[Board]) -> tuple[t
     """For each of the boards all of its kind that an image shows, from left to right; the image as for :func:`binocal.detect`.
 
     Chessboards of one SPEC may be many, and are told from those of another by their numbers of corners. Boards with markers are told
-    apart by their ids, so that there is one of a SPEC at most; of circle grids one of a SPEC is found.
+    apart by their ids, so that there is one of a SPEC at most; of circle and square grids, too;
+    where an image shows two, none is found.
 
     Raises:
         ValueError: The array is not an image, or two boards cannot be told apart.

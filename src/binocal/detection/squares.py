@@ -8,12 +8,12 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.boards.board import SQUARE_GAP_RATIOS
 from binocal.detection.finding.blobs import LARGE_BLOCKS, SMALL_BLOCKS, USUAL_BLOCKS
-from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
+from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice, shows_another
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
 from binocal.detection.finding.point_lattice import LatticePoints, grow_point_lattices, is_seen_from_behind
 from binocal.detection.finding.quads import Quads, find_quads
 from binocal.detection.finding.regularity import keep_regular
-from binocal.detection.found import FoundBoard, not_found
+from binocal.detection.found import FoundBoard, not_found, several_boards
 from binocal.detection.measuring.squares import measure_squares
 from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
 from binocal.shapes import Float, Int, UInt8
@@ -43,11 +43,14 @@ def detect_squares(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
     for scale, is_dark, blocks in _LEVELS:
         quads = find_quads(stretched, is_dark=is_dark, scale=scale, blocks=blocks)
         n_most = max(n_most, len(quads))
-        for lattice in grow_point_lattices(
+        lattices = grow_point_lattices(
             quads.centres_px, quads.radii_px, size_wh, least=least, enough=enough, n_for_lens=N_FOR_LENS
-        ):
+        )
+        for k, lattice in enumerate(lattices):
             index = match_circles(lattice, quads.centres_px, centres)
             if index is not None:
+                if shows_another(lattices[k + 1 :], quads.centres_px, centres):
+                    return several_boards(board)
                 found = _finish(grey, board, quads, index, is_dark)
                 if found.is_found:
                     return found

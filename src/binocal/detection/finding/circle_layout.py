@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy import ndarray
@@ -12,6 +12,7 @@ from binocal.detection.finding.point_lattice import LatticePoints, is_seen_from_
 from binocal.shapes import Float, Int
 
 MAX_SHARE_MISSING = 0.1  # of a grid whose outline is complete
+WHOLE_SHARE = 0.95  # of a grid, for another one beside it to be taken for a second board
 MAX_SHARE_BEYOND = 0.35  # of a line outside the board: strays that happen to lie there; more is a line of a larger grid
 
 
@@ -36,6 +37,17 @@ def match_circles(
         if best is None or rank > best[:2]:
             best = *rank, index
     return None if best is None else best[2]
+
+
+def shows_another(lattices: Sequence[LatticePoints], points_px: Float[ndarray, "spots 2"], board: Board) -> bool:
+    """Whether one of these lattices, beside the one that was taken for the board, is as good as whole a board of that size."""
+    for lattice in lattices:
+        if len(lattice.members) < WHOLE_SHARE * board.n_points:
+            continue
+        index = match_circles(lattice, points_px, board)
+        if index is not None and (index >= 0).sum() >= WHOLE_SHARE * board.n_points:
+            return True
+    return False
 
 
 def measure_lattice(

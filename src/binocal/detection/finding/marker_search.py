@@ -52,6 +52,7 @@ LEAST_SURE, LEAST_LIKELY = (
     4,
 )  # markers that agree, for a board: of likely ones chance would bring one in many thousand images
 READ, FOREIGN = 0.55, 0.3  # a face with the code that its place demands; with another one or none
+LEAST_TWICE, TWICE_SHARE = 3, 0.3  # of the markers that are read for sure, at two places, for two boards
 LEAST_MEDIAN = 0.4  # of a board's faces
 FIELDS_RAD = tuple(np.radians([0, 100, 140, 180]))
 LEAST_BETTER = 1.02  # by which a lens reads better, for it to be preferred to none
@@ -148,6 +149,8 @@ class MarkerSearch:
     is_mirrored: bool = False
     n_markers: int = 0
     """Faces that were read for sure."""
+    is_several: bool = False
+    """Whether the image shows the board more than once: many ids are read in two places."""
 
 
 def choose_way(sightings: Sequence[MarkerSighting], least_more: int) -> tuple[MarkerSighting, bool]:
@@ -198,6 +201,8 @@ def search_markers(
             is_mirrored |= mirrored
             if reading is not None:
                 n_markers = max(n_markers, int(readings.is_sure.sum()))
+                if _show_several(readings):
+                    return MarkerSearch([], n_markers=n_markers, is_several=True)
                 sightings = _vote(readings, reading, grids, least_sure)
             if sightings or mirrored:
                 break
@@ -225,6 +230,16 @@ def search_markers(
             n_before = n_known
     _complete(image, sightings, first_id)
     return MarkerSearch(sightings, is_mirrored and not sightings, n_markers)
+
+
+def _show_several(readings: _Readings) -> bool:
+    """Whether so many markers are read for sure in two places that the image shows two boards."""
+    index, middle = readings.index[readings.is_sure], readings.quads_px[readings.is_sure].mean(axis=1)
+    side = np.sqrt(_areas(readings.quads_px[readings.is_sure]))
+    is_same = np.triu(index[:, None] == index, 1)
+    is_same &= np.linalg.norm(middle[:, None] - middle, axis=-1) > np.maximum(side[:, None], side)
+    n_twice = len(np.unique(index[is_same.any(axis=1)]))
+    return n_twice >= max(LEAST_TWICE, TWICE_SHARE * len(np.unique(index)))
 
 
 def _complete(image: UInt8[ndarray, "h w"], sightings: list[MarkerSighting], first_id: int) -> None:
