@@ -74,3 +74,12 @@ def test_every_group_names_its_cases_once_and_other_processes_can_have_them():
     assert len(names) == len(set(names)) >= 14
     assert all(case.table == name for name, cases in groups.items() for case in cases)
     assert [case.name for case in pickle.loads(pickle.dumps(related.own_input_cases()))] == names[1:]
+
+
+def test_the_attitudes_are_as_uncertain_as_the_case_says():
+    sample = related_cases.Turning(40, 1.0)(0)
+    given, truth = sample.evidence, sample.truth
+    said = np.stack([given.left_attitude_rad, given.right_attitude_rad], axis=1)[1:]  # known at rest, before they turn
+    assert given.attitude_sigma_rad[1:] == pytest.approx(np.radians(1.0))
+    off_deg = np.degrees(said - truth.angles_rad[1:])
+    assert np.sqrt(np.mean(off_deg**2)) == pytest.approx(1.0, rel=0.2)  # 156 figures

@@ -241,7 +241,7 @@ def link_corners(f: Fuzz) -> None:
     n = f.size(40)
     images.link_corners(
         f.image(), f.places(n), f.floats(n, 4, scale=3.0), f.floats(n, scale=50.0), float(f.rng.normal()),
-        has_markers=bool(f.rng.random() < 0.7), is_oblique=bool(f.rng.random() < 0.5),
+        has_markers=bool(f.rng.random() < 0.7), is_oblique=bool(f.rng.random() < 0.5), has_dots=bool(f.rng.random() < 0.5),
     )  # fmt: skip
 
 
@@ -298,8 +298,9 @@ def grow_lattice(f: Fuzz) -> None:
     known = f.places(len(on.x) * len(on.y)).reshape(len(on.y), len(on.x), 2)
     known[f.rng.random(known.shape[:2]) < 0.3] = np.nan
     marker_grids.grow_lattice(
-        f.image(), on, 1.0, abs(float(f.rng.normal())), known, f.places(f.size(30)), field_lens(f)
-    )
+        f.image(), on, 1.0, abs(float(f.rng.normal())), known, f.places(f.size(30)), field_lens(f),
+        has_dots=bool(f.rng.random() < 0.5),
+    )  # fmt: skip
 
 
 def grow_groups(f: Fuzz) -> None:

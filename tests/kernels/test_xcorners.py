@@ -1,5 +1,6 @@
 """The compiled reading of X-corners, their links and groups against plain statements."""
 
+import cv2
 import numpy as np
 import plain_xcorners as plain
 import pytest
@@ -157,3 +158,22 @@ def test_an_empty_image_is_refused(shape, dtype):
 def test_a_negative_reach_is_refused():
     with pytest.raises(ValueError, match="reach must be 0 or more"):
         images.localize_saddles(np.zeros((9, 9), np.uint8), np.ones((1, 2)), np.ones((5, 1)), -1)
+
+
+def test_edges_with_dots_on_their_middles_are_followed_beside_them():
+    side = 24
+    image = np.kron(np.indices((5, 6)).sum(axis=0) % 2, np.ones((side, side))).astype(np.float32) * 200 + 20
+    corners = np.stack(np.meshgrid(np.arange(1, 6), np.arange(1, 5)), axis=-1).reshape(-1, 2) * side - 0.5
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    for n, corner in enumerate(corners):
+        for step in ([0.5, 0.0], [0.0, 0.5]):
+            dot = corner + np.array(step) * side
+            image[np.hypot(x - dot[0], y - dot[1]) < side / 6] = 20 + 200 * (n % 2)
+    image = cv2.GaussianBlur(image, (0, 0), 1.0)
+    rays = np.tile([0.0, np.pi / 2, np.pi, 1.5 * np.pi], (20, 1))
+    # The square beyond a corner is dark where the sum of its places is even: there the second ray has its bright sector after it.
+    is_dark = (corners + 0.5).sum(axis=1) // side % 2 == 0
+    rays[is_dark] = np.roll(rays[is_dark], -1, axis=1)
+    contrast = np.full(20, 200.0)
+    dotted, _ = images.link_corners(image, corners, rays, contrast, 0.4, has_dots=True)
+    assert (dotted >= 0).sum() == 2 * (4 * 4 + 5 * 3)

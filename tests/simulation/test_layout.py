@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from binocal.boards import Board, parse_board
+from binocal.simulation.coverage import CellSheet, DottedSheet, Footprint, MarkedSheet
 from binocal.simulation.layout import cell_print, disc_print, printed_extent_m
 
 
@@ -93,3 +94,23 @@ def test_marked_circles_are_larger_or_hollow():
     discs = disc_print(parse_board("circles:7x6:30mm:hollow"))
     assert np.argwhere(discs.hole > 0).tolist() == [[1, 2], [1, 4], [4, 2]] and np.allclose(discs.outer, 0.25)
     assert (disc_print(parse_board("acircles:4x9:30mm:rings")).hole > 0).all()
+
+
+def test_dots_looked_up_are_drawn_as_discs_one_by_one_are():
+    board = parse_board("puzzleboard:5x4:20mm:start=3,8")
+    cells, rng = cell_print(board), np.random.default_rng(0)
+    assert printed_extent_m(board) == pytest.approx((-0.01, -0.01, 0.09, 0.07)) and len(cells.discs) == 4 * 4 + 5 * 3
+    x, y = rng.uniform(-2, 6, (2, 100, 100))
+    at = Footprint(x, y, *(np.full(x.shape, v) for v in (0.03, 0.005, -0.004, 0.028)))
+    sheet = CellSheet(cells, 1.0)
+    looked_up, one_by_one = DottedSheet(sheet, cells.discs), MarkedSheet(sheet, cells.discs)
+    for theirs, ours in zip(one_by_one.spread(at, 0.14), looked_up.spread(at, 0.14), strict=True):
+        assert np.abs(theirs - ours).max() < 1e-5
+    reach = np.full(x.shape, 0.02)
+    for theirs, ours in zip(
+        one_by_one.classify(at, reach, reach)[:2], looked_up.classify(at, reach, reach)[:2], strict=True
+    ):
+        assert np.array_equal(theirs, ours)
+    is_constant = looked_up.classify(at, reach, reach)[2]
+    assert (is_constant >= one_by_one.classify(at, reach, reach)[2]).all()
+    assert np.abs(looked_up.spread(at, 0.14)[0] - looked_up.classify(at, reach, reach)[0])[is_constant].max() < 1e-3

@@ -18,7 +18,7 @@ from binocal.output import staged_folder, write_part
 from binocal.progress import ProgressCallback
 from binocal.result import RejectedView
 
-N_SETTINGS = 13  # with 9 the curves of the simulated lenses are off by twice as much between settings as at them
+N_SETTINGS = 13  # the rows between settings err 0.7 times as much as at one; with 9 settings 1.3 times
 
 
 def calibrate_zoom_images(

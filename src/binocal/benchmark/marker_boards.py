@@ -1,4 +1,4 @@
-"""Rendered images of ChArUco boards, AprilGrids and marked chessboards: corners found, wrongly named, how far off, and the time that it takes.
+"""Rendered images of boards with markers, marked squares or dots: corners found, wrongly named, how far off, and the time that it takes.
 
 Each case changes one thing of an ordinary image: tilt, blur, noise, small markers, a part out of view or covered, stray
 markers of the board's own dictionary, a lens of 150 degrees, harsh light, ink and paper exchanged, tags with one bit of border.
@@ -24,7 +24,12 @@ from binocal.geometry.so3 import exp
 from binocal.shapes import Bool, Float, UInt8
 from binocal.simulation import RenderOptions, printed_extent_m, render_image
 
-BOARDS = ("charuco:11x8:30mm:22mm:DICT_5X5_50", "aprilgrid:6x6:40mm:0.3", "chessboard:14x9:20mm:marked")
+BOARDS = (
+    "charuco:11x8:30mm:22mm:DICT_5X5_50",
+    "aprilgrid:6x6:40mm:0.3",
+    "chessboard:14x9:20mm:marked",
+    "puzzleboard:14x9:20mm:start=50,100",
+)
 NARROW = "one bit"  # of border about AprilGrids' tags, in place of Kalibr's two: the only ones that AprilTag 3 reads
 CASES = (
     "ordinary", "tilt 60", "blur 3", "noise 10", "small", "partial", "wide", "covered", "stray", "light", "inverted",

@@ -26,6 +26,8 @@ def marker_board_finders(
 ) -> dict[str, Callable[[ndarray], Float[ndarray, "n 2"]]]:
     """Binocal's finder and those of the installed peers, by name; ``border_bits`` about an AprilGrid's tags."""
     finders: dict[str, Callable[[ndarray], ndarray]] = {"binocal": lambda image: detect(image, board).points_px}
+    if board.kind == "puzzleboard":
+        return finders  # OpenCV reads no dots
     if board.kind == "charuco":
         return finders | {"OpenCV": _opencv_charuco(board)}
     if board.kind == "chessboard":

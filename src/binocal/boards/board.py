@@ -16,12 +16,13 @@ from numpy import ndarray
 
 from binocal.boards.dictionaries import check_dictionary, check_tag_family
 from binocal.boards.marks import Squares, check_marks, format_marks, is_mark, parse_marks
+from binocal.boards.puzzle_code import SIDE
 from binocal.shapes import Bool, Float, Int
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 _EXAMPLES = (
     "chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), aprilgrid:6x6:88mm:0.3, "
-    "circles:10x10:30mm, acircles:4x11:20mm, squares:4x3:30mm:30mm"
+    "circles:10x10:30mm, acircles:4x11:20mm, squares:4x3:30mm:30mm, puzzleboard:11x8:30mm (inner corners)"
 )
 
 MOST_POINTS = 40_000  # 200 x 200; a camera of 20 million pixels gives each a square of 22 pixels
@@ -34,7 +35,7 @@ SQUARE_GAP_RATIOS = (
     0.1,
     10.0,
 )  # of the gap over the side: narrower ones are one edge to a lens, wider ones hold half of the sheet empty
-_KINDS = ("chessboard", "charuco", "aprilgrid", "circles", "acircles", "squares")
+_KINDS = ("chessboard", "charuco", "aprilgrid", "circles", "acircles", "squares", "puzzleboard")
 
 _NAMES = {
     "chessboard": "a chessboard",
@@ -43,9 +44,10 @@ _NAMES = {
     "circles": "a circle grid",
     "acircles": "a staggered circle grid",
     "squares": "a square grid",
+    "puzzleboard": "a PuzzleBoard",
 }
 
-BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles", "squares"]
+BoardKind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles", "squares", "puzzleboard"]
 CircleStyle = Literal["", "large", "hollow", "rings"]
 CIRCLE_STYLES = ("large", "hollow", "rings")
 MARKS = (
@@ -61,7 +63,7 @@ HOLE = 0.5  # a ring's inner diameter over its outer one
 class Board:
     """A planar calibration board.
 
-    ``columns`` and ``rows`` count what the field counts for the kind: inner corners (chessboard), squares (charuco),
+    ``columns`` and ``rows`` count what the field counts for the kind: inner corners (chessboard, puzzleboard), squares (charuco),
     tags (aprilgrid), circles (circles), circles per row and rows (acircles, OpenCV's staggered layout), squares (squares, BoofCV's
     square grid). ``pitch_m`` is the square's side, the tag's side (aprilgrid), the spacing of circles, or half the spacing within
     a row (acircles), in metres; 1 and ``is_metric`` False when the specification gave no unit: lengths are then in
@@ -91,9 +93,11 @@ class Board:
     """Circle grids: three circles about the middle larger ("large") or rings ("hollow"), all rings ("rings"), or plain."""
     gap_m: float = 0.0
     """Square grids: from one square's side to the next one's, metres."""
+    start: tuple[int, int] = (0, 0)
+    """PuzzleBoard: which corner (column, row) of the whole pattern is the board's first."""
 
     def __post_init__(self) -> None:
-        least = {"chessboard": 2, "charuco": 2, "aprilgrid": 1, "circles": 2, "acircles": 2, "squares": 2}[self.kind]
+        least = {"aprilgrid": 1, "puzzleboard": 4}.get(self.kind, 2)
         size = f"board {_shown(f'{self.columns}x{self.rows}')}"
         if self.columns < least or self.rows < least or self.n_points < 4:
             raise ValueError(f"{size} is too small for {_NAMES[self.kind]}")
@@ -127,6 +131,18 @@ class Board:
         if self.circle_style:
             self._check_style()
         self._check_gap()
+        self._check_start()
+
+    def _check_start(self) -> None:
+        column, row = self.start
+        if self.kind != "puzzleboard":
+            if self.start != (0, 0):
+                raise ValueError(f"a start in the pattern belongs to PuzzleBoards; {_NAMES[self.kind]} has none")
+            return
+        if min(self.start) < 0 or column + self.columns > SIDE or row + self.rows > SIDE:
+            raise ValueError(
+                f"a PuzzleBoard of {self.columns}x{self.rows} corners from {column},{row} on reaches beyond the pattern's {SIDE}x{SIDE}"
+            )
 
     def _check_gap(self) -> None:
         if self.kind != "squares":
@@ -176,7 +192,7 @@ class Board:
     @property
     def allows_partial(self) -> bool:
         """True where what is printed names the points, so that a partly visible board can be used."""
-        return self.kind in ("charuco", "aprilgrid") or self.is_marked or bool(self.marked_points)
+        return self.kind in ("charuco", "aprilgrid", "puzzleboard") or self.is_marked or bool(self.marked_points)
 
     @property
     def is_marked(self) -> bool:
@@ -222,7 +238,7 @@ class Board:
     def object_points_m(self) -> Float[ndarray, "n 3"]:
         """The points in the board frame, metres (pitches if not metric), in the board's own order.
 
-        chessboard, circles: row by row from (0, 0). charuco: inner corners row by row, the first at (1, 1) pitch, so
+        chessboard, puzzleboard, circles: row by row from (0, 0). charuco: inner corners row by row, the first at (1, 1) pitch, so
         that the board's outer corner is the origin. acircles: OpenCV's order, x = (2 column + row mod 2) pitch, y = row
         pitch.
         aprilgrid: tag by tag, row by row from the top-left tag, each tag's corners top-left, top-right, bottom-right,
@@ -279,6 +295,7 @@ def parse_board(spec: str) -> Board:
     marks = [field for field in fields if is_mark(field)] if kind == "chessboard" else []
     fields = [field for field in fields if field not in marks]
     style = fields.pop() if kind in ("circles", "acircles") and fields[-1] in CIRCLE_STYLES else ""
+    start = _parse_start(fields.pop(), spec) if kind == "puzzleboard" and "=" in fields[-1] else (0, 0)
     most = {"charuco": 5, "aprilgrid": 5, "squares": 3}.get(kind, 2)
     if len(fields) > most:
         raise ValueError(f"board {_shown(spec)!r} has too many fields; examples: {_EXAMPLES}")
@@ -323,7 +340,7 @@ def parse_board(spec: str) -> Board:
         discs, swapped = parse_marks(marks, columns, rows)
     except ValueError as error:
         raise ValueError(f"board {_shown(spec)!r}: {error}") from None
-    return Board(kind, columns, rows, pitch_m, is_metric, discs=discs, swapped=swapped, circle_style=style)  # type: ignore[arg-type]
+    return Board(kind, columns, rows, pitch_m, is_metric, discs=discs, swapped=swapped, circle_style=style, start=start)  # type: ignore[arg-type]
 
 
 def _length_of(spec: str, text: str) -> tuple[float, bool]:
@@ -346,6 +363,15 @@ def _parse_id(text: str, spec: str) -> int:
     if not re.fullmatch(r"[0-9]{1,5}", text):
         raise ValueError(f"board {_shown(spec)!r}: {_shown(text)!r} is no first id of its markers, such as 24")
     return int(text)
+
+
+def _parse_start(text: str, spec: str) -> tuple[int, int]:
+    match = re.fullmatch(r"\s*start=([0-9]{1,3}),([0-9]{1,3})\s*", text)
+    if not match:
+        raise ValueError(
+            f"board {_shown(spec)!r}: {_shown(text)!r} is no corner of the pattern, such as start=50,100 (column,row from 0,0)"
+        )
+    return int(match[1]), int(match[2])
 
 
 def format_length(length_m: float) -> str:
@@ -373,4 +399,5 @@ def format_board(board: Board) -> str:
             spec += f":{board.dictionary}"
     spec += format_marks(board.columns, board.rows, board.discs, board.swapped)
     spec += f":{board.first_tag_id}" if board.first_tag_id else ""
+    spec += ":start={},{}".format(*board.start) if board.start != (0, 0) else ""
     return spec + f":{board.circle_style}" * bool(board.circle_style)

@@ -86,9 +86,15 @@ def _look_alike(a: Board, b: Board) -> bool:
     if a.marker_dictionary:
         ids, other = (range(x.first_tag_id, x.first_tag_id + _n_markers(x)) for x in (a, b))
         return a.marker_dictionary == b.marker_dictionary and ids.start < other.stop and other.start < ids.stop
+    if a.kind == "puzzleboard":  # parts of one pattern, which have corners in common or have not
+        return all(abs(2 * (p - q) + m - n) < m + n for p, q, m, n in zip(a.start, b.start, *_sizes(a, b), strict=True))
     if a.is_marked or b.is_marked:
         return True  # a part of a marked chessboard may have as many corners as the other
     return sorted((a.columns, a.rows)) == sorted((b.columns, b.rows))
+
+
+def _sizes(*boards: Board) -> tuple[tuple[int, int], ...]:
+    return tuple((board.columns, board.rows) for board in boards)
 
 
 def _n_markers(board: Board) -> int:
@@ -98,6 +104,8 @@ def _n_markers(board: Board) -> int:
 def _remedy(board: Board, other: Board) -> str:
     if board.marker_dictionary:
         return "their markers' ids overlap; print one with another first id"
+    if board.kind == "puzzleboard":
+        return "they have corners of the pattern in common; print one with another start"
     if board.is_marked or other.is_marked:
         return "a part of a marked chessboard looks like another chessboard; show no other one beside it"
     return "boards of as many columns and rows need one --board; print one of another size"

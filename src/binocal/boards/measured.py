@@ -16,6 +16,7 @@ _ENDS = {
     "aprilgrid": "from the first tag's outer edge to the last one's, without the small squares outside",
     "circles": "from the first circle's centre to the last one's",
     "acircles": "from the first circle's centre to the farthest one's",
+    "puzzleboard": "over all its print, from outer edge to outer edge (half a square beyond the outer corners)",
     "squares": "over all its squares, from outer edge to outer edge",
 }
 
@@ -29,6 +30,8 @@ def measured_box_m(board: Board) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of the rectangle whose sides are measured, in the board frame, metres (pitches if not metric)."""
     if board.kind == "chessboard":
         box = np.array([-1.0, -1.0, board.columns, board.rows]) * board.pitch_m
+    elif board.kind == "puzzleboard":
+        box = np.array([-0.5, -0.5, board.columns - 0.5, board.rows - 0.5]) * board.pitch_m
     elif board.kind == "charuco":
         box = np.array([0.0, 0.0, board.columns, board.rows]) * board.pitch_m
     else:

@@ -78,6 +78,8 @@ def format_kalibr_target(board: Board) -> str:
     """
     if board.kind == "charuco":
         raise ValueError("Kalibr knows no ChArUco boards")
+    if board.kind == "puzzleboard":
+        raise ValueError("Kalibr knows no PuzzleBoards")
     if board.kind == "squares":
         raise ValueError("Kalibr knows no square grids")
     if board.is_marked:

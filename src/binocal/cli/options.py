@@ -25,7 +25,7 @@ app = typer.Typer(
 
 BOARD_HELP = (
     "The board: chessboard:9x6:30mm (inner corners), charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), "
-    "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, squares:4x3:30mm:30mm, or a YAML file. "
+    "aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, squares:4x3:30mm:30mm, puzzleboard:11x8:30mm, or a YAML file. "
     "A length without mm, cm, m or in leaves the scale unknown."
 )
 Left = Annotated[str, typer.Option("--left", help="Left images: a glob in quotes, or a folder.", metavar="GLOB")]

@@ -88,6 +88,10 @@ def _detect_kind(
         from binocal.detection.aprilgrid import TagLayout, detect_aprilgrid
 
         return detect_aprilgrid(grey, stretched, board, layout if isinstance(layout, TagLayout) else None)
+    if board.kind == "puzzleboard":
+        from binocal.detection.chessboard.puzzle import detect_puzzleboard
+
+        return detect_puzzleboard(grey, stretched, board), None
     if board.is_marked:
         from binocal.detection.chessboard.marked import detect_marked_chessboard
 

@@ -124,7 +124,9 @@ class Turning:
         rng, rig, board = np.random.default_rng(seed), turning_rig(), parse_board("chessboard:11x8:60mm")
         scene = StereoScene(rig, board, sample_board_poses(rig, board, 20, rng))
         before = calibrate(simulate_detections(scene, rng, noise_px=0.1), calibrator="lm", model="brown4")
-        options = TurningOptions(self.sigma_deg, is_always_another=self.is_always_another, pivot_m=self.pivot_m)
+        options = TurningOptions(
+            attitude_sigma_deg=self.sigma_deg, is_always_another=self.is_always_another, pivot_m=self.pivot_m
+        )
         turned = simulate_turning(rig, self.n_pairs, rng, options)
         return Sample(turned.pairs, turned, choices={"prior": RigPrior.from_calibration(before)})
 

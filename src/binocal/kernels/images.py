@@ -99,11 +99,13 @@ def link_corners(
     *,
     has_markers: bool = False,
     is_oblique: bool = False,
+    has_dots: bool = False,
 ) -> tuple[Int[ndarray, "n 4"], Int[ndarray, "n 4"]]:
     """For each corner and ray the neighbour along it (-1: none) and which of the neighbour's rays points back.
 
     Among the 14 nearest: along both corners' rays to ``max_turn_rad``, with the bright side the same from both ends,
     contrasts within a factor of 7, and an edge (:func:`follow_edges`) between. The nearest counts; mutual links only.
+    With ``has_dots`` edges are read near them, on both sides of the dot that covers their middle third.
     With ``has_markers`` 24 nearest, and edges are read near them, at 0.15 to 0.85 of the way: markers are printed beside them; 96 nearest if
     ``is_oblique``.
     """
@@ -117,6 +119,7 @@ def link_corners(
         float(max_turn_rad),
         has_markers,
         is_oblique,
+        has_dots,
         neighbour,
         back_ray,
     )

@@ -164,11 +164,13 @@ def grow_lattice(
     known_px: Float[ndarray, "rows columns 2"],
     candidates_px: Float[ndarray, "n 2"],
     lens: FieldLens,
+    *,
+    has_dots: bool = False,
 ) -> tuple[Float[ndarray, "rows columns 2"], Bool[ndarray, "rows columns"]]:
     """The known corners with those candidates that lie where the ones around put them, and which are new.
 
     ``sign`` is 1 where the face beyond the first corner is bright, -1 where it is dark; ``free`` is how far from a corner,
-    along both axes, nothing else is printed, in the unit of the lines.
+    along both axes, nothing else is printed, in the unit of the lines; ``has_dots`` where the middle of every edge bears one.
     """
     known = np.array(known_px, dtype=float)
     is_new = np.zeros(known.shape[:2], bool)
@@ -179,6 +181,7 @@ def grow_lattice(
         float(lines.pitch),
         float(sign),
         float(free),
+        has_dots,
         known,
         as_floats(candidates_px),
         lens.cx,

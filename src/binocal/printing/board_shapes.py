@@ -34,7 +34,9 @@ def quiet_mm(board: Board) -> float:
 
     A third of a square, half a spacing of circles, an AprilGrid's gap.
     """
-    share = {"aprilgrid": board.tag_gap_ratio, "chessboard": 1 / 3, "charuco": 1 / 3}.get(board.kind, 0.5)
+    share = {"aprilgrid": board.tag_gap_ratio, "chessboard": 1 / 3, "charuco": 1 / 3, "puzzleboard": 1 / 3}.get(
+        board.kind, 0.5
+    )
     return min(1e3 * board.pitch_m * share, MOST_QUIET_MM)
 
 

@@ -22,7 +22,15 @@ NOTE_PX = 40  # kept free below the board, for what is written there
 PX_M = 1e-3  # a pixel in the drawing, whose unit is the millimetre
 APRIL_DATA_CELLS = 6  # of a tag's side, besides its border
 MOST_DIAGONAL_M = 5.0
-LEAST_PITCH_PX = {"chessboard": 4, "charuco": 8, "aprilgrid": 10, "circles": 8, "acircles": 6, "squares": 6}
+LEAST_PITCH_PX = {
+    "chessboard": 4,
+    "charuco": 8,
+    "aprilgrid": 10,
+    "circles": 8,
+    "acircles": 6,
+    "squares": 6,
+    "puzzleboard": 12,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +112,8 @@ def _in_pixels(board: Board, pitch_px: int, style: PrintStyle) -> Board | None:
         side = pitch_px // n_cells * n_cells
         gap = max(1, round(board.tag_gap_ratio * side))
         return replace(board, pitch_m=PX_M * side, is_metric=True, tag_gap_ratio=gap / side)
+    if board.kind == "puzzleboard":
+        pitch_px -= pitch_px % 2  # its outer squares are cut in half
     if board.kind == "squares":
         gap = max(1, round(board.gap_m / board.pitch_m * pitch_px))
         return replace(board, pitch_m=PX_M * pitch_px, is_metric=True, gap_m=PX_M * gap)
@@ -122,7 +132,10 @@ def _named(board: Board, screen: Screen, size_px: tuple[int, int]) -> ScreenBoar
     unit = replace(board, pitch_m=1.0, is_metric=False, **({second: 0.5} if second else {}))
     fields = format_board(unit).split(":")
     lengths = [f"{{{pitch_px}}}", *([f"{{{second_px}}}"] if second else [])]
-    fields[2:] = [*lengths, *(fields[2:] if board.is_marked else fields[2 + len(lengths) :])]
+    n_written = (
+        len(lengths) if board.kind in ("charuco", "aprilgrid", "squares") else 0
+    )  # other SPECs of a pitch of 1 have none
+    fields[2:] = [*lengths, *fields[2 + n_written :]]
     return ScreenBoard(board, pitch_px, size_px, format_board(named), ":".join(fields))
 
 

@@ -50,6 +50,8 @@ def sheet_of(board: Board, *, is_legacy_charuco: bool = False, april_border_bits
         return DiscSheet(disc_print(board), board)
     cells = cell_print(board, is_legacy_charuco=is_legacy_charuco, april_border_bits=april_border_bits)
     sheet = CellSheet(cells, sheet_margin(board))
+    if board.kind == "puzzleboard":
+        return DottedSheet(sheet, cells.discs)
     return MarkedSheet(sheet, cells.discs) if len(cells.discs) else sheet
 
 
@@ -179,6 +181,57 @@ class MarkedSheet:
                 inside = np.where(near, ndtr((radius - r) / (spread_px * np.maximum(slope, 1e-12))), 0.0)
                 reflectance = reflectance + inside.astype(np.float32) * (np.float32(1 - ink) - reflectance)
         return reflectance, coverage
+
+
+class DottedSheet:
+    """Cells of a chessboard with a dot in the middle of each edge between two corners.
+
+    Their middles make a lattice turned by 45 degrees, so that the nearest dot is looked up, however many there are.
+    """
+
+    def __init__(self, cells: CellSheet, discs: Float[ndarray, "k 4"]) -> None:
+        self._cells = cells
+        self._low = self._turned(discs[:, 0], discs[:, 1]).min(axis=1)
+        column, row = self._turned(discs[:, 0], discs[:, 1]) - self._low[:, None]
+        self._radius = np.full((column.max() + 1, row.max() + 1), -np.inf, np.float32)
+        self._paper = np.zeros(self._radius.shape, np.float32)
+        self._radius[column, row] = discs[:, 2]
+        self._paper[column, row] = 1 - discs[:, 3]
+
+    @staticmethod
+    def _turned(x: ndarray, y: ndarray) -> Int[ndarray, "2 *n"]:
+        """The place of the nearest dot in the turned lattice."""
+        return np.rint(np.stack([x + y - 0.5, x - y - 0.5])).astype(int)
+
+    def _nearest(self, at: Footprint) -> tuple[ndarray, ndarray, ndarray, ndarray, ndarray]:
+        """Offset x, y from the nearest dot's middle, the distance, the dot's radius (below 0: there is none), and 1 where it is white."""
+        place = self._turned(at.x, at.y)
+        a, b = place + 0.5
+        x, y = at.x - 0.5 * (a + b), at.y - 0.5 * (a - b)
+        limits = np.array(self._radius.shape)[(...,) + (None,) * at.x.ndim]
+        index = place - self._low[(...,) + (None,) * at.x.ndim]
+        inside = ((index >= 0) & (index < limits)).all(axis=0)
+        i, j = np.where(inside, index, 0)
+        return x, y, np.hypot(x, y), np.where(inside, self._radius[i, j], -np.inf), self._paper[i, j]
+
+    def classify(self, at: Footprint, reach_x: ndarray, reach_y: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+        """See :class:`Sheet`."""
+        reflectance, coverage, is_constant = self._cells.classify(at, reach_x, reach_y)
+        _, _, r, radius, paper = self._nearest(at)
+        is_inside = r < radius
+        is_constant = is_constant | is_inside  # a dot hides the edge beneath it
+        is_constant &= np.abs(r - radius) > np.hypot(reach_x, reach_y)
+        return np.where(is_inside, paper, reflectance), coverage, is_constant
+
+    def spread(self, at: Footprint, spread_px: float) -> tuple[ndarray, ndarray]:
+        """See :class:`Sheet`. Takes a dot's rim as straight: right to spread_px² / (2 radius), alike all round."""
+        from scipy.special import ndtr
+
+        reflectance, coverage = self._cells.spread(at, spread_px)
+        x, y, r, radius, paper = self._nearest(at)
+        slope = np.hypot(x * at.x_u + y * at.y_u, x * at.x_v + y * at.y_v) / np.maximum(r, 1e-9)
+        inside = ndtr((radius - r) / (spread_px * np.maximum(slope, 1e-12))).astype(np.float32)
+        return reflectance + inside * (paper - reflectance), coverage
 
 
 def _joint_minus_product(a: ndarray, b: ndarray, correlation: ndarray) -> ndarray:

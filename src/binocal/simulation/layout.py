@@ -10,6 +10,7 @@ needs. Conventions, each held against OpenCV or Kalibr by a test:
   within ``pitch_m``; black squares as wide as the gap at the tags' corners; ids grow to the right and upward from
   the bottom-left tag; tags upright as in the AprilTag project's own images. OpenCV's ``DICT_APRILTAG_36h11``
   holds them turned by 180° in 4.x and 5.0.
+- puzzleboard: its authors' generator: the outer squares are cut in half, and a dot lies on every edge between two corners.
 - circles, acircles: discs of ``circle_diameter_ratio`` times the distance of neighbours; three of them 1.4 times as large
   or rings, or all of them rings, whose holes have half their diameter.
 - squares: black squares, the gaps between them white, as BoofCV prints them.
@@ -25,6 +26,7 @@ from numpy import ndarray
 from binocal.boards import Board
 from binocal.boards.board import HOLE, LARGE
 from binocal.boards.marks import DISC_RADIUS
+from binocal.boards.puzzle_code import DOT_RADIUS, bits_below, bits_beside
 from binocal.shapes import Float, Int
 
 _TAG36H11_ID0 = (
@@ -40,7 +42,7 @@ class CellPrint:
     y_edges: Float[ndarray, "rows_and_one"]
     ink: Int[ndarray, "rows columns"]
     discs: Float[ndarray, "k 4"] = field(default_factory=lambda: np.zeros((0, 4)))
-    """Of the other colour than the cell about them: centre x, y and radius in pitches, and 1 where black is printed."""
+    """Laid over the cells: centre x, y and radius in pitches, and 1 where black is printed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +65,8 @@ def printed_extent_m(board: Board) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of the rectangle around all print, in the board frame, metres (pitches if not metric)."""
     if board.kind == "chessboard":
         box = (-1.0, -1.0, board.columns, board.rows)
+    elif board.kind == "puzzleboard":
+        box = (-0.5, -0.5, board.columns - 0.5, board.rows - 0.5)
     elif board.kind == "charuco":
         box = (0.0, 0.0, board.columns, board.rows)
     elif board.kind == "aprilgrid":
@@ -115,7 +119,7 @@ def disc_print(board: Board) -> DiscPrint:
 
 
 def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bits: int = 2) -> CellPrint:
-    """Cells of a chessboard, a ChArUco board, an AprilGrid or a square grid.
+    """Cells of a chessboard, a ChArUco board, an AprilGrid, a square grid or a PuzzleBoard.
 
     Raises:
         ValueError: The dictionary is unknown or has too few markers.
@@ -128,6 +132,8 @@ def cell_print(board: Board, *, is_legacy_charuco: bool = False, april_border_bi
         return _aprilgrid_print(board, april_border_bits)
     if board.kind == "squares":
         return _squares_print(board)
+    if board.kind == "puzzleboard":
+        return _puzzle_print(board)
     raise ValueError(f"{board.kind} is not made of cells")
 
 
@@ -145,6 +151,18 @@ def _squares_print(board: Board) -> CellPrint:
     row, column = np.mgrid[: 2 * board.rows - 1, : 2 * board.columns - 1]
     x, y = board.object_points_m.reshape(2 * board.rows, 2 * board.columns, 3)[..., :2].T / board.pitch_m
     return CellPrint(x[:, 0], y[0], ((row % 2 == 0) & (column % 2 == 0)).astype(int))
+
+
+def _puzzle_print(board: Board) -> CellPrint:
+    (column, row), columns, rows = board.start, board.columns, board.rows
+    y, x = np.mgrid[: rows + 1, : columns + 1]
+    ink = 1 - (x + y + column + row) % 2
+    x_edges, y_edges = (np.r_[-0.5, np.arange(n), n - 0.5] for n in (columns, rows))
+    beside, below = (grid.reshape(2, -1) for grid in (np.mgrid[: columns - 1, :rows], np.mgrid[:columns, : rows - 1]))
+    bits = np.r_[bits_beside(*(beside.T + board.start).T), bits_below(*(below.T + board.start).T)]
+    centres = np.concatenate([beside.T + [0.5, 0.0], below.T + [0.0, 0.5]])
+    discs = np.column_stack([centres, np.full(len(bits), DOT_RADIUS), 1.0 - bits])
+    return CellPrint(x_edges, y_edges, ink, discs)
 
 
 def _charuco_print(board: Board, is_legacy: bool) -> CellPrint:

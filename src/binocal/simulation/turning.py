@@ -19,7 +19,7 @@ MAX_TRIES = 2000
 MARGIN_PX = 10.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TurningOptions:
     """How the cameras turn and how well things are measured.
 

@@ -29,7 +29,7 @@ def board(
             metavar="SPEC",
             help="The board, as for --board of the other verbs: chessboard:9x6:20mm (inner corners), "
             "charuco:11x8:30mm:22mm:DICT_5X5_50 (squares), aprilgrid:6x6:88mm:0.3, circles:10x10:30mm, acircles:4x11:20mm, "
-            "squares:4x3:30mm:30mm.",
+            "squares:4x3:30mm:30mm, puzzleboard:11x8:30mm.",
             show_default=False,
         ),
     ] = None,

@@ -73,7 +73,7 @@ def grow_known(
     known = to_level(known_px, scale)
     at_scale = lens.scaled(scale, 0.5 * scale - 0.5)
     sign = -grid.sign if is_inverted else grid.sign
-    known, is_new = grow_lattice(smooth, grid.lines, sign, grid.free, known, peaks, at_scale)
+    known, is_new = grow_lattice(smooth, grid.lines, sign, grid.free, known, peaks, at_scale, has_dots=grid.has_dots)
     return np.where(is_new[..., None], from_level(known, scale), known_px)
 
 

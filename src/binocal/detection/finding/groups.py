@@ -43,12 +43,12 @@ class CornerGroup:
         return is_full and size == (max(columns, rows), min(columns, rows))
 
 
-def link_corners(saddles: SaddleImage, corners: XCorners) -> list[CornerGroup]:
-    """The corners in connected groups, the largest first."""
+def link_corners(saddles: SaddleImage, corners: XCorners, *, has_dots: bool = False) -> list[CornerGroup]:
+    """The corners in connected groups, the largest first; ``has_dots`` where the middle of every edge bears one."""
     if len(corners) < 2:
         return []
     neighbour, back_ray = images.link_corners(
-        saddles.smooth, corners.points_px, corners.rays_rad, corners.contrast_dn, MAX_TURN_RAD
+        saddles.smooth, corners.points_px, corners.rays_rad, corners.contrast_dn, MAX_TURN_RAD, has_dots=has_dots
     )
     n_ends = (neighbour >= 0).sum(axis=1)
     groups = [

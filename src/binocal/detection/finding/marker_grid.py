@@ -40,6 +40,8 @@ class MarkerGrid:
     """The board's point at each crossing."""
     side: float
     """Of a face with a marker."""
+    has_dots: bool = False
+    """On the middle of every edge between two crossings."""
 
     crossings: Int[ndarray, "m 4 2"] = field(init=False)
     """The crossing (column, row) at each corner of each marker's face, in the marker's own order."""
@@ -87,6 +89,23 @@ def marked_grid(board: Board) -> MarkerGrid:
         turns=0,
         points=np.arange(columns * rows).reshape(rows, columns),
         side=1.0,
+    )
+
+
+@lru_cache(maxsize=16)
+def puzzle_grid(board: Board) -> MarkerGrid:
+    """A PuzzleBoard, whose faces are plain."""
+    columns, rows = board.columns, board.rows
+    return MarkerGrid(
+        Lines(np.arange(float(columns)), np.arange(float(rows)), 1.0),
+        sign=1.0 if sum(board.start) % 2 else -1.0,
+        free=0.3,  # along the diagonals dots are farther away, but seen obliquely they come near
+        faces=np.zeros((0, 2), int),
+        is_dark=False,
+        turns=0,
+        points=np.arange(columns * rows).reshape(rows, columns),
+        side=1.0,
+        has_dots=True,
     )
 
 

@@ -112,6 +112,8 @@ class MarkerSighting:
     """Corners of markers that voted."""
     likeness: Float[ndarray, "m"] = field(default_factory=lambda: np.zeros(0))
     """Of each marker's face to its code; NaN where the face is not in the image, or hidden in part."""
+    of_faces: Float[ndarray, "m"] = field(default_factory=lambda: np.zeros(0))
+    """The same, of faces hidden in part too; NaN where nothing says where the face is."""
     n_predicted: int = 0
     """Corners at which the markers that are read say that there is one."""
 
@@ -463,6 +465,7 @@ def _verify(image: UInt8[ndarray, "h w"], sighting: MarkerSighting, first_id: in
         rest = templates.residual(values)
         likeness[inside] = (rest * templates.turned[np.nonzero(inside)[0], 0]).sum(axis=1)
     sighting.n_predicted = _count_crossings(crossings[likeness >= READ], rows, columns)
+    sighting.of_faces = likeness.copy()
     likeness[~is_judged] = np.nan
     sighting.likeness = likeness
     known = likeness[np.isfinite(likeness) & is_known.all(axis=1)]

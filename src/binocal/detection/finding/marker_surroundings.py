@@ -46,7 +46,10 @@ def read_surroundings(image: UInt8[ndarray, "h w"], board: Board, sighting: Mark
     """What stands beside a board that was found, and whether its outer rows and columns are there; ``image`` has 8 bits."""
     low, high = np.array([0, 0]), np.array([board.columns, board.rows])
     cells = _cells_between(board, sighting.grid, low, high)
-    likeness = _read(image, board, sighting, cells)
+    likeness = sighting.of_faces.copy()  # faces run as ids do
+    is_open = np.isnan(likeness)
+    if is_open.any():
+        likeness[is_open] = _read(image, board, sighting, cells[is_open])
     read = cells[likeness >= READ]
     beyond: list[Int[ndarray, "k 2"]] = []
     n_sure = 0
@@ -145,6 +148,8 @@ def _prove_spec(board: Board, grid: MarkerGrid, cells: Int[ndarray, "m 2"]) -> s
 
 def _missing_lines(board: Board, cells: Int[ndarray, "m 2"], likeness: Float[ndarray, "m"]) -> str:
     """A note on outer rows or columns none of whose markers is seen though all should be in view; "" without."""
+    if not (likeness < FOREIGN).any():
+        return ""
     left = []
     for axis, n in ((0, board.columns), (1, board.rows)):
         lines = [likeness[cells[:, axis] == k] for k in range(n)]

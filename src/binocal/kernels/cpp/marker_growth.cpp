@@ -243,6 +243,7 @@ void predict_steps(const Doubles& x, const Doubles& y, double pitch, const Doubl
 struct Print {
     double sign;  // 1 where the face beyond corner (0, 0) is bright
     double free;  // how far from a corner, along both axes, nothing else is printed
+    bool has_dots;  // on the middle of every edge
 };
 
 // Bright minus dark about a corner, the least of the four sectors' differences, and the mean.
@@ -361,7 +362,8 @@ class Growth {
                 if (!board_.is_known(column + s[0], row + s[1])) continue;
                 const double* other = board_.at(column + s[0], row + s[1]);
                 ++n_edges;
-                n_seen += is_marker_edge(read_, pixel[0], pixel[1], other[0] - pixel[0], other[1] - pixel[1], s[0] ? sign : -sign, std::min(mean, contrast));
+                const auto follow = print_.has_dots ? is_dotted_edge<Pixel> : is_marker_edge<Pixel>;
+                n_seen += follow(read_, pixel[0], pixel[1], other[0] - pixel[0], other[1] - pixel[1], s[0] ? sign : -sign, std::min(mean, contrast));
             }
             if (2 * n_seen < n_edges) continue;
             board_.at(column, row)[0] = pixel[0];
@@ -388,7 +390,7 @@ class Growth {
 // Adds to the known corners (rows, columns) those candidates that lie where the corners around put them, with four sectors as
 // printed and edges to the known ones beside them; `is_new` says which.
 template <typename Pixel>
-void grow_lattice(const Plane<Pixel>& image, const Doubles& x, const Doubles& y, double pitch, double sign, double free, DoublesOut known, const Doubles& candidates,
+void grow_lattice(const Plane<Pixel>& image, const Doubles& x, const Doubles& y, double pitch, double sign, double free, bool has_dots, DoublesOut known, const Doubles& candidates,
                   double cx, double cy, double f, FlagsInOut is_new) {
     const std::size_t n = x.size() * y.size();
     require(n > 0 && known.size() == 2 * n && is_new.size() == n && candidates.size() % 2 == 0 && pitch > 0, "the arrays' lengths do not match");
@@ -399,7 +401,7 @@ void grow_lattice(const Plane<Pixel>& image, const Doubles& x, const Doubles& y,
     const double* candidate = candidates.data();
     nb::gil_scoped_release unlocked;
     std::fill_n(flags, n, false);
-    Growth<Pixel>(read, board, lens, {sign, free}, pitch, candidate, candidates.size() / 2, flags).run();
+    Growth<Pixel>(read, board, lens, {sign, free, has_dots}, pitch, candidate, candidates.size() / 2, flags).run();
 }
 
 }  // namespace

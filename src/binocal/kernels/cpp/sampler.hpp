@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 
 namespace binocal {
 
@@ -48,16 +49,28 @@ bool is_edge(const Sampler<Pixel>& read, double x, double y, double way_x, doubl
     return true;
 }
 
-// The same where markers are printed beside the edge: read close to it, and at five places.
+// The same where more is printed near the edge: read close to it, at the shares of the way that are given.
 template <typename Pixel>
-bool is_marker_edge(const Sampler<Pixel>& read, double x, double y, double way_x, double way_y, double sign, double contrast) {
+bool is_edge_at(const Sampler<Pixel>& read, std::initializer_list<double> shares, double x, double y, double way_x, double way_y, double sign, double contrast) {
     const double length = std::sqrt(way_x * way_x + way_y * way_y), aside = std::min(std::max(0.05, 1.3 / std::max(length, 1.0)), 0.4);
-    for (double share : {0.15, 0.3, 0.5, 0.7, 0.85}) {
+    for (double share : shares) {
         const double at_x = x + share * way_x, at_y = y + share * way_y;
         const float step = read(at_x - aside * way_y, at_y + aside * way_x) - read(at_x + aside * way_y, at_y - aside * way_x);
         if (!(sign * step > 0.3 * contrast)) return false;
     }
     return true;
+}
+
+// With markers beside the edge.
+template <typename Pixel>
+bool is_marker_edge(const Sampler<Pixel>& read, double x, double y, double way_x, double way_y, double sign, double contrast) {
+    return is_edge_at(read, {0.15, 0.3, 0.5, 0.7, 0.85}, x, y, way_x, way_y, sign, contrast);
+}
+
+// With a dot on its middle third.
+template <typename Pixel>
+bool is_dotted_edge(const Sampler<Pixel>& read, double x, double y, double way_x, double way_y, double sign, double contrast) {
+    return is_edge_at(read, {0.15, 0.25, 0.75, 0.85}, x, y, way_x, way_y, sign, contrast);
 }
 
 }  // namespace binocal

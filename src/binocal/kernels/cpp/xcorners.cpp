@@ -244,7 +244,7 @@ int nearest_ray(const std::array<double, 8>& direction, double x, double y, doub
 // For each corner and ray the nearest neighbour along it that an edge leads to, and which of its rays points back.
 // Corners of boards with markers have more neighbours to try, and edges that are read close by.
 template <int kNearest, typename Pixel>
-void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, std::int64_t* neighbour, std::int64_t* back_ray) {
+void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, bool has_dots, std::int64_t* neighbour, std::int64_t* back_ray) {
     const auto nearest = find_nearest<kNearest>(corners.points, corners.n);
     const double least_cosine = std::cos(max_turn);
     std::fill_n(neighbour, 4 * corners.n, -1);
@@ -265,9 +265,10 @@ void link(const Sampler<Pixel>& read, const Corners& corners, double max_turn, s
             const double weaker = std::min(contrast, corners.contrast[other]);
             if (!(weaker > 0.15 * std::max(contrast, corners.contrast[other]))) continue;
             const double sign = ray % 2 ? -1.0 : 1.0;
-            if (kNearest != kNeighbours ? !is_marker_edge(read, at[0], at[1], x, y, sign, weaker)
-                                                 : !is_edge(read, at[0], at[1], x, y, sign, weaker))
-                continue;
+            const bool is_linked = has_dots                  ? is_dotted_edge(read, at[0], at[1], x, y, sign, weaker)
+                                   : kNearest != kNeighbours ? is_marker_edge(read, at[0], at[1], x, y, sign, weaker)
+                                                             : is_edge(read, at[0], at[1], x, y, sign, weaker);
+            if (!is_linked) continue;
             neighbour[4 * i + ray] = other;
             back_ray[4 * i + ray] = back;
         }
@@ -356,7 +357,7 @@ std::size_t grow(const double* points, const std::int64_t* neighbour, const std:
 
 template <typename Pixel>
 void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles& rays, const Doubles& contrast, double max_turn,
-                  bool has_markers, bool is_oblique, IndicesOut neighbour, IndicesOut back_ray) {
+                  bool has_markers, bool is_oblique, bool has_dots, IndicesOut neighbour, IndicesOut back_ray) {
     const std::size_t n = points.shape(0);
     require(rays.size() == 4 * n && contrast.size() == n && neighbour.size() == 4 * n && back_ray.size() == 4 * n, "the arrays' lengths do not match");
     Corners corners{points.data(), rays.data(), contrast.data(), {}, static_cast<int>(n)};
@@ -369,9 +370,9 @@ void link_corners(const Plane<Pixel>& plane, const Places& points, const Doubles
             corners.directions[i][2 * k] = std::cos(corners.rays[4 * i + k]);
             corners.directions[i][2 * k + 1] = std::sin(corners.rays[4 * i + k]);
         }
-    if (has_markers && is_oblique) link<kNeighboursOblique>(read, corners, max_turn, to, back);
-    else if (has_markers) link<kNeighboursOfMarkers>(read, corners, max_turn, to, back);
-    else link<kNeighbours>(read, corners, max_turn, to, back);
+    if (has_markers && is_oblique) link<kNeighboursOblique>(read, corners, max_turn, has_dots, to, back);
+    else if (has_markers) link<kNeighboursOfMarkers>(read, corners, max_turn, has_dots, to, back);
+    else link<kNeighbours>(read, corners, max_turn, has_dots, to, back);
 }
 
 std::size_t grow_groups(const Places& points, const IndicesIn& neighbour, const IndicesIn& back_ray, IndicesOut members, IndicesOut cells, IndicesOut turns,
