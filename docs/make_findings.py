@@ -140,10 +140,11 @@ EXPLANATIONS = {
         images were looked at again for any other board, and show none that is recognised.""",
     "board-is-another": """
         Where no image shows the board, or few do, some of the others are looked at again for a chessboard, a ChArUco board, an
-        AprilGrid or a circle grid of any size. Two of them must agree. A chessboard and circles are proposed where detection finds
-        them under that very SPEC; a marker board where the ids of its markers fit the places at which they lie for one number of
-        columns only, and its number of rows where an image shows its end. The marker's side, which is measured to some percent,
-        is left to you. Markers in mirrored images cannot be read: the board is looked for in the mirrored image too.""",
+        AprilGrid, a circle grid or a square grid of any size. Two of them must agree. A chessboard, circles and
+        squares are proposed where detection finds them under that very SPEC; a marker board where the ids of
+        its markers fit the places at which they lie for one number of columns only, and its number of rows
+        where an image shows its end. The marker's side, which is measured to some percent, is left to you.
+        Markers in mirrored images cannot be read: the board is looked for in the mirrored image too.""",
     "markers-too-small": """
         The squares of a ChArUco board are found when they are 7 px wide. Its markers are read by their code: rendered
         sharp, all are read where a cell of the code is 2.5 px wide, half of them at 1.8 px, none at 1 px. Without markers it is

@@ -18,5 +18,7 @@ def test_plain_grids_are_whole_in_view_and_marked_ones_may_not_be():
 def test_rows_count_what_is_found_and_what_is_wrong(case):
     own, theirs = circle_board_rows(images=1, seed=0, cases=[case], boards=BOARDS[2:3])
     assert (own["finder"], theirs["finder"]) == ("binocal", "OpenCV") and own["n_wrong"] == 0
+    (of_squares,) = circle_board_rows(images=1, seed=0, cases=[case], boards=BOARDS[-2:-1])
+    assert of_squares["n_wrong"] == 0 and of_squares["n_found"] == of_squares["n_visible"]
     n = 99 if case == "ordinary" else 0
     assert own["n_found"] == own["n_visible"] == n and (own["rms_px"] is None) == (not n)

@@ -53,6 +53,18 @@ def test_a_lens_of_180_degrees_bends_the_edges():
     assert np.sqrt(np.mean(error**2)) < 0.03
 
 
+def test_a_tone_curve_widens_no_square(shoot):
+    shot = shoot("squares:4x3:30mm:20mm", gamma=2.2)
+    error = detect(shot.image, shot.board).points_px - shot.corners_px
+    assert np.sqrt(np.mean(error**2)) < 0.02  # measured 0.007; 0.3 if the squares are not compared with the gaps
+
+
+def test_squares_of_another_gap_are_noted(shoot):
+    shot = shoot("squares:5x4:30mm:20mm")
+    found = detect(shot.image, parse_board("squares:5x4:30mm:24mm"))
+    assert found.is_found and "px wider than the SPEC says" in found.note
+
+
 def test_bright_squares_on_dark(shoot):
     shot = shoot("squares:4x3:30mm:30mm")
     found = detect(255 - shot.image, shot.board)

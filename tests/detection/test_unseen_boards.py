@@ -23,6 +23,7 @@ SHOWN = {  # a board, and the SPEC that must be proposed where another one is gi
     "aprilgrid:5x4:30mm:0.3": r"aprilgrid:5x4:(30mm:0\.3|SIDE:GAP)",
     "circles:7x6:30mm": r"circles:7x6",
     "acircles:4x11:20mm": r"acircles:4x11",
+    "squares:5x4:30mm:20mm": r"squares:5x4:SIDE:GAP",
 }
 GIVEN = [
     "chessboard:9x6:30mm",
@@ -44,6 +45,7 @@ FAST = {
     ("aprilgrid:5x4:30mm:0.3", "charuco:9x7:30mm:22mm:DICT_APRILTAG_36h11"),
     ("circles:7x6:30mm", "chessboard:7x5:30mm"),
     ("acircles:4x11:20mm", "acircles:11x4:20mm"),
+    ("squares:5x4:30mm:20mm", "circles:8x6:30mm"),
 }
 
 

@@ -23,6 +23,7 @@ from binocal.kernels import (
     point_lattices,
     rectified_maps,
     spots,
+    square_fits,
     template_match,
 )
 
@@ -325,6 +326,16 @@ def fit_ellipses(f: Fuzz) -> None:
     ellipse_fits.fit_ellipses(image, f.places(n), axes, f.floats(n), *room)
 
 
+def fit_squares(f: Fuzz) -> None:
+    n = f.size(9)
+    image = f.image((np.uint8, np.uint16, np.float32))
+    square = 12 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) + 3 * f.rng.standard_normal((4, 2))
+    corners = f.places(n)[:, None] + square
+    sides = f.floats(n, 4, 3), np.abs(f.floats(n, 4, scale=5.0)), np.abs(f.floats(n, scale=30.0))
+    blur_px = float(np.abs(f.floats(2))[0])
+    square_fits.fit_squares(image, corners, *sides, blur_px=blur_px, is_rough=bool(f.rng.random() < 0.5))
+
+
 def fit_image_lens(f: Fuzz) -> None:
     n, kind = f.size(20), f.rng.random(2) < 0.5
     options = image_lens.LensFitOptions(abs(float(f.floats(1)[0])), bool(kind[0]), bool(kind[1]))
@@ -400,7 +411,7 @@ FUNCTIONS = [
     compose_poses, pixels_behind, fit_planes, observe, saddle_response, find_peaks, find_spots, find_nearest, grow_point_lattice,
     sample, read_rings, localize_saddles,
     follow_edges, link_corners, find_faces, read_cells, vote_on_tags, predict_places, predict_each, predict_steps,
-    grow_lattice, grow_groups, fit_corners, fit_ellipses, fit_image_lens, pool_corners, rectified_map,
+    grow_lattice, grow_groups, fit_corners, fit_ellipses, fit_squares, fit_image_lens, pool_corners, rectified_map,
     reduce_stereo, solve_definite, caught_words, match_templates,
 ]  # fmt: skip
 

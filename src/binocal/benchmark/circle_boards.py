@@ -1,8 +1,9 @@
-"""Rendered images of circle grids: circles found, wrongly named, how far off, and the time that it takes, beside OpenCV.
+"""Rendered images of circle and square grids: points found, wrongly named, how far off, and the time that it takes, beside OpenCV.
 
 Cases change one thing of an ordinary image, as those of ChArUco boards and AprilGrids do (:mod:`.marker_boards`). Plain grids are
 whole in view, marked ones in a case of their own partly. A grid that looks the same turned is compared with the truth turned
-alike. In the case "none" there is no board, but discs of chance: all that is found there is wrong.
+alike. In the case "none" there is no board, but discs or squares of chance: all that is found there is wrong. OpenCV has no detector of
+square grids.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ BOARDS = (
     "circles:11x9:30mm:large",
     "circles:11x9:30mm:hollow",
     "circles:10x9:30mm:rings",
+    "squares:4x3:30mm:30mm",
+    "squares:8x6:30mm:15mm",
 )
 CASES: dict[str, dict[str, Any]] = {
     "ordinary": {},
@@ -48,6 +51,7 @@ CASES: dict[str, dict[str, Any]] = {
 }
 SIZE_WH = (1280, 960)
 WIDE_RAD = np.radians(150)
+RIM_SQUARES = 0.15  # sides about a square that are in view where it is to be found
 RIM_DISCS = 1.35  # radii about a circle's centre that are in view where the circle is to be found
 MAX_OFF_PX, MAX_OFF_SPACINGS = 1.5, 0.1  # the larger of both is near enough to count as found
 WRONG_SPACINGS = 0.4  # farther off, a circle has the name of another one
@@ -107,7 +111,7 @@ def draw_circle_scene(spec: str, case: str, seed: int, index: int) -> CircleScen
     rendered = render_image(camera, T_camera_board, board, options, rng)
     image = rendered.image.astype(np.uint8)
     if case in ("stray", "none"):
-        image = _draw_strays(image, rendered.corners_px, rng)
+        image = _draw_strays(image, rendered.corners_px, rng, are_squares=board.kind == "squares")
     return CircleScene(image, board, rendered.corners_px, is_visible & (case != "none"))
 
 
@@ -129,14 +133,16 @@ def _draw_pose(board: Board, f: float, case: str, rng: np.random.Generator) -> S
 
 def _in_view(camera: Camera, T_camera_board: SE3, board: Board) -> Bool[ndarray, "n"]:
     """Which circles lie in the image, with a rim about them."""
-    reach = RIM_DISCS * disc_print(board).radius * board.pitch_m
+    reach = (RIM_SQUARES if board.kind == "squares" else RIM_DISCS * disc_print(board).radius) * board.pitch_m
     rims = board.object_points_m + reach * _OUTLINE[:, None]
     pixels = camera.project(T_camera_board.apply(rims.reshape(-1, 3))).reshape(len(_OUTLINE), -1, 2)
     return np.logical_and.reduce((pixels > 1) & (pixels < np.array(SIZE_WH) - 2), axis=(0, 2))
 
 
-def _draw_strays(image: ndarray, centres: ndarray, rng: np.random.Generator) -> UInt8[ndarray, "h w"]:
-    """Discs with bright rims, of all sizes, beside the board."""
+def _draw_strays(
+    image: ndarray, centres: ndarray, rng: np.random.Generator, *, are_squares: bool
+) -> UInt8[ndarray, "h w"]:
+    """Discs or squares with bright rims, of all sizes, beside the board."""
     import cv2
 
     image = image.copy()
@@ -145,14 +151,21 @@ def _draw_strays(image: ndarray, centres: ndarray, rng: np.random.Generator) -> 
         place = rng.integers(2 * radius, np.array(SIZE_WH) - 2 * radius)
         if np.nanmin(np.linalg.norm(centres - place, axis=1), initial=np.inf) > 2.2 * radius + 25:
             cv2.circle(image, place.tolist(), int(1.5 * radius), 200, -1, cv2.LINE_AA)
-            cv2.circle(image, place.tolist(), radius, 40, -1, cv2.LINE_AA)
+            if are_squares:
+                turn = rng.uniform(0, np.pi) + np.pi / 2 * np.arange(4)
+                corners = place + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+                cv2.fillPoly(image, [np.rint(corners).astype(np.int32)], 40, cv2.LINE_AA)
+            else:
+                cv2.circle(image, place.tolist(), radius, 40, -1, cv2.LINE_AA)
     return np.clip(image + rng.normal(0, 1, image.shape), 0, 255).astype(np.uint8)
 
 
 def circle_finders(board: Board) -> dict[str, Callable[[ndarray], Float[ndarray, "n 2"]]]:
-    """Binocal's finder, and OpenCV's."""
+    """Binocal's finder, and OpenCV's where it has one."""
     import cv2
 
+    if board.kind == "squares":
+        return {"binocal": lambda image: detect(image, board).points_px}
     flags = cv2.CALIB_CB_ASYMMETRIC_GRID if board.kind == "acircles" else cv2.CALIB_CB_SYMMETRIC_GRID
 
     def find(image: ndarray) -> ndarray:

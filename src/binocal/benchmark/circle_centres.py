@@ -1,10 +1,10 @@
-"""Centres of circle grids in rendered images: errors of binocal and of OpenCV over what the images allow at best.
+"""Centres of circle grids, and corners of square grids, in rendered images: errors over what the images allow at best, beside OpenCV's.
 
 The bound of a centre is the inverse Fisher information of a ten-parameter blurred ellipse (:mod:`.ellipse_bound`) over the pixels about
 its true outline, for the noise that was rendered. Errors are those of the projected centres, which a board's points are:
 binocal takes the shift between them and the ellipses' centres out, OpenCV does not, so its points are also held against the
-ellipses' own centres. Both find the grid themselves; a
-grid that looks the same turned is compared with the truth turned alike.
+ellipses' own centres. The bound of a square's corner is that of fourteen numbers of its outline (:mod:`.square_bound`); OpenCV has no
+detector of square grids. All find the grid themselves; a grid that looks the same turned is compared with the truth turned alike.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.benchmark.ellipse_bound import ellipse_bound
+from binocal.benchmark.square_bound import square_bound
 from binocal.boards import Board, parse_board
 from binocal.cameras import Camera
 from binocal.detection import detect
@@ -27,7 +28,7 @@ from binocal.geometry.so3 import exp
 from binocal.shapes import Float
 from binocal.simulation import RenderOptions, printed_extent_m, render_image
 
-BOARDS = ("circles:10x10:30mm", "acircles:4x11:20mm")
+BOARDS = ("circles:10x10:30mm", "acircles:4x11:20mm", "squares:6x5:30mm:20mm")
 SIZE_WH = (1280, 960)
 CASES: dict[str, dict[str, Any]] = {
     "ordinary": {},
@@ -63,7 +64,10 @@ class _Tally:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CircleScene:
-    """An image of a circle grid: projected centres, centroids of the circles' images, bounds (px^2), the light's direction."""
+    """An image of a grid: projected centres, centroids of the circles' images, bounds (px^2), the light's direction.
+
+    Of a square grid both are the projected corners.
+    """
 
     image: ndarray
     board: Board
@@ -96,17 +100,21 @@ def draw_circle_scene(spec: str, case: str, seed: int) -> CircleScene:
     T = SE3(R, place - R @ np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]))
     image = render_image(camera, T, board, options, rng).image
     centres = camera.project(T.apply(board.object_points_m))
+    along = np.array([*options.shading, 0.0]) / np.array([x1 - x0, y1 - y0, 1.0])
+    step = 1e-3 * board.pitch_m * along / max(np.linalg.norm(along), 1e-12)
+    middle = board.object_points_m.mean(axis=0)
+    moved = np.diff(camera.project(T.apply(np.stack([middle - step, middle + step]))), axis=0)[0]
+    light = moved / max(np.linalg.norm(moved), 1e-12)
+    if board.kind == "squares":
+        bounds = _bounds_of_squares(board, options, camera, T)
+        return CircleScene(image, board, centres, centres, bounds, light)
     turn = 2 * np.pi * np.arange(_N_OUTLINE) / _N_OUTLINE
     spacing_m = board.pitch_m * (np.sqrt(2) if board.kind == "acircles" else 1.0)
     radius_m = 0.5 * board.circle_diameter_ratio * spacing_m
     rim = radius_m * np.stack([np.cos(turn), np.sin(turn), np.zeros(_N_OUTLINE)], axis=-1)
     outlines = camera.project(T.apply((board.object_points_m[:, None] + rim).reshape(-1, 3))).reshape(-1, _N_OUTLINE, 2)
     bounds = _bounds(board, options, outlines, centres)
-    along = np.array([*options.shading, 0.0]) / np.array([x1 - x0, y1 - y0, 1.0])
-    step = 1e-3 * board.pitch_m * along / max(np.linalg.norm(along), 1e-12)
-    middle = board.object_points_m.mean(axis=0)
-    moved = np.diff(camera.project(T.apply(np.stack([middle - step, middle + step]))), axis=0)[0]
-    return CircleScene(image, board, centres, _centroids(outlines), bounds, moved / max(np.linalg.norm(moved), 1e-12))
+    return CircleScene(image, board, centres, _centroids(outlines), bounds, light)
 
 
 def _centroids(outlines: Float[ndarray, "n k 2"]) -> Float[ndarray, "n 2"]:
@@ -121,28 +129,56 @@ def _bounds(
     apart = np.linalg.norm(centres[:, None] - centres, axis=-1) + np.where(np.eye(len(centres)), np.inf, 0)
     radius = np.linalg.norm(outlines - centres[:, None], axis=-1)
     noise_dn = float(np.sqrt(options.noise_dn**2 + 1 / 12))
-    box = board.object_points_m[:, :2]
-    share = (box - box.mean(axis=0)) / np.ptp(box, axis=0)
     bounds = np.full((len(centres), 2, 2), np.nan)
     for i, outline in enumerate(outlines):
         if not np.isfinite(outline).all():
             continue
-        corner = np.hypot(*SIZE_WH) / 2
-        light = (1 + share[i] @ options.shading) * (
-            1 - options.vignetting * np.sum((centres[i] - np.array(SIZE_WH) / 2) ** 2) / corner**2
-        )
-        dark, bright = (
-            255 * max(level * light / 255, 0.0) ** (1 / options.gamma) for level in (options.black_dn, options.white_dn)
-        )
         bounds[i] = ellipse_bound(
             outline,
             blur_px=float(np.sqrt(options.blur_px**2 + 1 / 12)),
             noise_dn=noise_dn,
             gap_px=float(apart[i].min() - 2 * radius[i].mean()),
             most_dn=TOP_DN - 2 * noise_dn,
-            levels_dn=(dark, bright),
+            levels_dn=_levels_at(board, options, board.object_points_m[i, :2], centres[i]),
         )
     return bounds
+
+
+def _bounds_of_squares(board: Board, options: RenderOptions, camera: Camera, T: SE3) -> Float[ndarray, "n 2 2"]:
+    grid = np.arange(board.n_points).reshape(2 * board.rows, 2 * board.columns)
+    squares = np.stack([grid[i::2, j::2].ravel() for i, j in ((0, 0), (0, 1), (1, 1), (1, 0))], axis=-1)
+    noise_dn, bounds = float(np.sqrt(options.noise_dn**2 + 1 / 12)), np.full((board.n_points, 2, 2), np.nan)
+    half_gap = 0.5 * board.gap_m * np.array([[0, -1, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0.0]])
+    for square in squares:
+        points = board.object_points_m[square]
+        middles = 0.5 * (points + np.roll(points, -1, axis=0))
+        corners, sides, beyond = (camera.project(T.apply(p)) for p in (points, middles, middles + half_gap))
+        if not (np.isfinite(corners).all() and np.isfinite(beyond).all()):
+            continue
+        bounds[square] = square_bound(
+            corners,
+            blur_px=float(np.sqrt(options.blur_px**2 + 1 / 12)),
+            noise_dn=noise_dn,
+            outward_px=np.linalg.norm(beyond - sides, axis=1),
+            most_dn=TOP_DN - 2 * noise_dn,
+            levels_dn=_levels_at(board, options, points[:, :2].mean(axis=0), corners.mean(axis=0)),
+        )
+    return bounds
+
+
+def _levels_at(
+    board: Board, options: RenderOptions, place_m: Float[ndarray, "2"], pixel: Float[ndarray, "2"]
+) -> tuple[float, float]:
+    """Grey levels of ink and paper at a place of the board."""
+    box = board.object_points_m[:, :2]
+    share = (place_m - box.mean(axis=0)) / np.ptp(box, axis=0)
+    from_middle = np.sum((pixel - np.array(SIZE_WH) / 2) ** 2) / (np.hypot(*SIZE_WH) / 2) ** 2
+    light = (1 + share @ options.shading) * (1 - options.vignetting * from_middle)
+    dark, bright = (
+        float(255 * max(level * light / 255, 0.0) ** (1 / options.gamma))
+        for level in (options.black_dn, options.white_dn)
+    )
+    return dark, bright
 
 
 def run_circle_centres_benchmark(
@@ -156,10 +192,14 @@ def run_circle_centres_benchmark(
     try:
         for spec in boards:
             for case in cases:
-                tallies = {"binocal": _Tally(), "OpenCV": _Tally(), _OF_ELLIPSES: _Tally()}
+                is_of_squares = parse_board(spec).kind == "squares"
+                names = ("binocal",) if is_of_squares else ("binocal", "OpenCV", _OF_ELLIPSES)
+                tallies = {name: _Tally() for name in names}
                 for index in range(images):
                     scene = draw_circle_scene(spec, case, seed + index)
                     _score(tallies["binocal"], scene, *_timed(_find_ours, scene))
+                    if is_of_squares:
+                        continue
                     theirs = _timed(_find_opencv, scene)
                     _score(tallies["OpenCV"], scene, *theirs)
                     _score(tallies[_OF_ELLIPSES], replace(scene, centres_px=scene.ellipses_px), *theirs)

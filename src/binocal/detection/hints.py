@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from binocal.boards import Board
-from binocal.boards.board import format_length
+from binocal.boards.board import format_board, format_length
 from binocal.detection.detect import detect
 from binocal.detection.finding.markers import get_dictionary
 from binocal.detection.found import FoundBoard
@@ -25,7 +25,8 @@ MAX_OFF = 0.06  # relative, between a marker's side as measured and as given: me
 CELL_PX = (
     2.5  # of a marker's code, from which on all markers of a sharp image are read one by one; a whole board's from 1 on
 )
-_SAME_TURNED = ("chessboard", "circles")  # columns and rows exchanged are the same board
+MAX_GAP_OFF = 0.15  # relative, of a square grid: its squares are only found to a pixel
+_SAME_TURNED = ("chessboard", "circles", "squares")  # columns and rows exchanged are the same board
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +126,8 @@ def _is_same(seen: SeenBoard, board: Board) -> bool:
     if board.is_marked:  # which may be seen in part
         return any(seen.columns <= columns and seen.rows <= rows for columns, rows in sizes)
     if not seen.family:
-        return (seen.columns, seen.rows) in sizes
+        is_gap = seen.kind != "squares" or _is_same_gap(seen, board)
+        return (seen.columns, seen.rows) in sizes and is_gap
     is_size = seen.columns == board.columns and (
         seen.rows == board.rows or (not seen.is_whole and seen.rows <= board.rows)
     )
@@ -138,9 +140,17 @@ def _is_same_side(seen: SeenBoard, board: Board) -> bool:
     return abs(seen.marker_side / given - 1) < MAX_OFF
 
 
+def _is_same_gap(seen: SeenBoard, board: Board) -> bool:
+    return board.kind == "squares" and abs(seen.gap * board.pitch_m / board.gap_m - 1) < MAX_GAP_OFF
+
+
 def _advice(seen: SeenBoard, board: Board) -> str:
     """What to give; only what was seen is in it."""
     size = f"{seen.columns}x{seen.rows}"
+    if seen.kind == "squares":
+        if _is_same_gap(seen, board):
+            return f"did you mean {format_board(replace(board, columns=seen.columns, rows=seen.rows))}?"
+        return f"did you mean squares:{size}:SIDE:GAP (the gap is about {seen.gap:.2f} times the squares' side)?"
     if not seen.family:
         if seen.may_hold_markers and board.kind != "chessboard":
             return f"give chessboard:{size} if no square holds a marker; if some do, move nearer"

@@ -20,6 +20,7 @@ from binocal.detection.detect import detect, stretch, stretch_8_bit
 from binocal.detection.finding.arrangements import find_arrangement
 from binocal.detection.finding.grid import grid_spacing
 from binocal.detection.finding.markers import find_family, smallest_dictionary, to_8_bit
+from binocal.detection.squares import find_square_grid
 
 MIN_MARKERS = 4  # of one family, in no known arrangement: fewer are read into clutter
 TAGS = "DICT_APRILTAG_36h11"
@@ -43,6 +44,8 @@ class SeenBoard:
     """Whether no more rows can follow those seen."""
     square_px: float = 0.0
     """Of a chessboard."""
+    gap: float = 0.0
+    """Of a square grid, over the squares' side."""
 
     @property
     def may_hold_markers(self) -> bool:
@@ -65,6 +68,8 @@ class SeenBoard:
             return f"a chessboard of {size} inner corners{or_else}"
         if self.kind in ("circles", "acircles"):
             return f"a {'staggered ' if self.kind == 'acircles' else ''}grid of {size} circles"
+        if self.kind == "squares":
+            return f"a grid of {size} separate squares"
         markers = f"{self.n_markers} markers of the family {self.family.removesuffix('_1000')}"
         if self.kind == "markers":
             return markers
@@ -81,7 +86,11 @@ def recognize(grey: ndarray) -> SeenBoard | None:
     seen = _recognize_chessboard(grey) or _recognize_markers(to_8_bit(stretched))
     if seen is not None:
         return seen  # before circles: squares pass for them, and those at the corners of tags make a grid
-    circles = find_circle_grid(stretch_8_bit(grey)[0])
+    stretched8 = stretch_8_bit(grey)[0]
+    squares = find_square_grid(stretched8)
+    if squares is not None and detect(grey, squares).is_found:
+        return SeenBoard("squares", squares.columns, squares.rows, gap=squares.gap_m)
+    circles = find_circle_grid(stretched8)
     is_found = circles is not None and detect(grey, circles).is_found
     return SeenBoard(circles.kind, circles.columns, circles.rows) if circles is not None and is_found else None
 

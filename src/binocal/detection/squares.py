@@ -6,10 +6,11 @@ import numpy as np
 from numpy import ndarray
 
 from binocal.boards import Board
+from binocal.boards.board import SQUARE_GAP_RATIOS
 from binocal.detection.finding.blobs import LARGE_BLOCKS, SMALL_BLOCKS, USUAL_BLOCKS
 from binocal.detection.finding.circle_layout import MAX_SHARE_MISSING, match_circles, measure_lattice
 from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
-from binocal.detection.finding.point_lattice import grow_point_lattices
+from binocal.detection.finding.point_lattice import LatticePoints, grow_point_lattices, is_seen_from_behind
 from binocal.detection.finding.quads import Quads, find_quads
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.found import FoundBoard, not_found
@@ -23,6 +24,7 @@ _LEVELS = (
     (2, True, LARGE_BLOCKS), (2, False, LARGE_BLOCKS),
 )  # fmt: skip
 N_FOR_LENS = 6  # squares: such grids are small, and clutter that is four-sided is rarer than round spots
+LEAST_OF_UNKNOWN = 9  # squares of a grid that is not the board: fewer are found in clutter
 MOST_OFF = 0.3  # of a square's shortest side, that its corners may be from where the squares' middles put them
 
 
@@ -52,7 +54,7 @@ def detect_squares(grey: ndarray, stretched: UInt8[ndarray, "h w"], board: Board
                 refused = refused or found
                 continue
             (columns, rows), n_seen = measure_lattice(lattice, quads.centres_px, "circles")
-            if min(columns, rows) < 2 or n_seen < (1 - MAX_SHARE_MISSING) * columns * rows:
+            if min(columns, rows) < 2 or n_seen < max(LEAST_OF_UNKNOWN, (1 - MAX_SHARE_MISSING) * columns * rows):
                 continue  # a chance lattice of the clutter
             if best is None or n_seen > best[0]:
                 best = n_seen, (max(columns, rows), min(columns, rows))
@@ -70,6 +72,39 @@ def _not_found(board: Board, best: tuple[int, tuple[int, int]] | None, n_quads: 
         return not_found(board.n_points, text, size_seen=size)
     text = f"only {n_seen} of the {n} squares seen ({size[0]}x{size[1]})"
     return not_found(board.n_points, text, size_seen=size)
+
+
+def find_square_grid(stretched: UInt8[ndarray, "h w"]) -> Board | None:
+    """The fullest grid of squares in an image, its side 1 and its gap as the image shows it; None where there is none."""
+    fullest: tuple[int, Board] | None = None
+    size_wh = stretched.shape[1], stretched.shape[0]
+    for is_dark in (True, False):
+        quads = find_quads(stretched, is_dark=is_dark, scale=2, blocks=USUAL_BLOCKS)
+        enough = max(LEAST_OF_UNKNOWN, len(quads) // 2)
+        for lattice in grow_point_lattices(
+            quads.centres_px, quads.radii_px, size_wh, least=LEAST_OF_UNKNOWN, enough=enough, n_for_lens=N_FOR_LENS
+        ):
+            (columns, rows), n = measure_lattice(lattice, quads.centres_px, "circles")
+            gap = _gap_over_side(quads, lattice, size_wh)
+            if min(columns, rows) < 2 or n < (1 - MAX_SHARE_MISSING) * columns * rows:
+                continue
+            if SQUARE_GAP_RATIOS[0] < gap < SQUARE_GAP_RATIOS[1] and (fullest is None or n > fullest[0]):
+                size = max(columns, rows), min(columns, rows)
+                fullest = n, Board("squares", *size, is_metric=False, gap_m=round(gap, 2))
+    return None if fullest is None else fullest[1]
+
+
+def _gap_over_side(quads: Quads, lattice: LatticePoints, size_wh: tuple[int, int]) -> float:
+    """NaN where no lens sees the squares' middles as a lattice."""
+    points = quads.centres_px[lattice.members]
+    way = [1.0, -1.0] if is_seen_from_behind(points, lattice.cells) else [1.0, 1.0]
+    options = LensFitOptions(tolerance_px=1.0, has_one_unknown=len(points) < N_FOR_WHOLE_LENS)
+    lens = fit_image_lens(lattice.cells * way, points, size_wh, options)
+    if lens is None:
+        return float("nan")
+    corners = lens.to_board(quads.corners_px[lattice.members].reshape(-1, 2)).reshape(-1, 4, 2)
+    side = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)))  # of the lattice's step
+    return (1 - side) / side
 
 
 def _finish(grey: ndarray, board: Board, quads: Quads, index: Int[ndarray, "n"], is_dark: bool) -> FoundBoard:
@@ -97,7 +132,13 @@ def _finish(grey: ndarray, board: Board, quads: Quads, index: Int[ndarray, "n"],
         text = f"the squares' corners do not lie on a smooth grid ({n_seen} of {board.n_points} do)"
         return not_found(board.n_points, text)
     seen = np.isfinite(points)[:, :1, None]
-    note = "" if n_seen == board.n_points else f"{n_seen} of {board.n_points} corners seen"
+    notes = [] if n_seen == board.n_points else [f"{n_seen} of {board.n_points} corners seen"]
+    if measured.has_other_lengths:
+        wide = "wider" if measured.spread_px > 0 else "narrower"
+        notes.append(
+            f"squares {2 * abs(measured.spread_px):.1f} px {wide} than the SPEC says: are their side and gap right?"
+        )
+    note = "; ".join(notes)
     return FoundBoard(points, np.where(seen, covariance, np.nan), note=note)
 
 

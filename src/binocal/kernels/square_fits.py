@@ -15,7 +15,13 @@ from binocal.kernels.corner_fits import CORNER_FIT, CornerFits, as_numbers, rang
 from binocal.shapes import Float
 
 SQUARE_INPUT = np.dtype(
-    [("corners_px", float, (4, 2)), ("bows_px", float, (4, 3)), ("outward_px", float, 4), ("reach_px", float)]
+    [
+        ("corners_px", float, (4, 2)),
+        ("bows_px", float, (4, 3)),
+        ("outward_px", float, 4),
+        ("reach_px", float),
+        ("blur_px", float),
+    ]
 )
 """The kernel's ``SquareInput``."""
 
@@ -51,13 +57,17 @@ def fit_squares(
     bows_px: Float[ndarray, "n 4 3"],
     outward_px: Float[ndarray, "n 4"],
     reach_px: Float[ndarray, "n"],
+    *,
+    blur_px: float = 1.0,
+    is_rough: bool = False,
 ) -> SquareFits:
     """Fit a blurred quadrilateral to the grey values (h, w), uint8, uint16 or float32, about each start.
 
     Starts are corners clockwise as seen, right to two pixels; none goes farther than ``reach_px`` in x or y. Edge i runs from
     corner i to the next one and leaves its chord by t (1 - t) (k0 + k1 t + k2 t^2) px inward, t from 0 to 1 along it, with k the
     ``bows_px``: 0 where the lens bends nothing. ``outward_px`` is how far outside of each edge nothing else is printed. Grey values
-    at the ends of the range (:func:`binocal.kernels.corner_fits.range_of`) have no say.
+    at the ends of the range (:func:`binocal.kernels.corner_fits.range_of`) have no say. ``blur_px`` is where the blur starts; a
+    rough fit looks at every other pixel and stops a tenth of a pixel away.
 
     Raises:
         ValueError: The image is of another type or shape.
@@ -67,7 +77,8 @@ def fit_squares(
     inputs = np.empty(len(corners_px), SQUARE_INPUT)
     inputs["corners_px"], inputs["bows_px"] = corners_px, bows_px
     inputs["outward_px"], inputs["reach_px"] = outward_px, reach_px
+    inputs["blur_px"] = blur_px
     records = np.empty(len(inputs), SQUARE_FIT)
     bottom, top = range_of(grey)
-    _kernel.fit_squares(np.ascontiguousarray(grey), bottom, top, as_numbers(inputs), as_numbers(records))
+    _kernel.fit_squares(np.ascontiguousarray(grey), bottom, top, as_numbers(inputs), is_rough, as_numbers(records))
     return SquareFits(CornerFits(np.ascontiguousarray(records["corners"]).reshape(-1)))

@@ -30,6 +30,7 @@ from binocal.detection.finding.marker_search import ENOUGH_SHARE, marker_level_s
 from binocal.detection.finding.planes import determine_plane
 from binocal.detection.finding.regularity import keep_regular
 from binocal.detection.finding.search import LevelSetting, scaled_saddles
+from binocal.detection.finding.whole_extent import place_whole
 from binocal.detection.finding.xcorners import SaddleImage, XCorners, find_saddles
 from binocal.detection.found import FoundBoard, not_found
 from binocal.detection.measuring.refinement import measure_corners
@@ -129,14 +130,20 @@ def _recognise(
             continue
         grid_px = np.full((rows, columns, 2), np.nan)
         grid_px[cells[:, 1], cells[:, 0]] = from_level(corners.points_px[group.members], scale)
-        placements = place_board(board, grid_px, read_squares(image, grid_px))
+        readings, is_bright_first = read_squares(image, grid_px), _is_bright_first(group, cells)
+        placements = place_board(board, grid_px, readings)
         if len(placements) == 1 and fits_board(placements[0], len(group)):
-            return _as_sighting(board, grid_px, placements[0], _is_bright_first(group, cells))
+            return _as_sighting(board, grid_px, placements[0], is_bright_first)
+        unmarked = [] if placements else place_whole(board, grid_px, readings)
         if expected_px is not None:
-            for placement in place_near(board, grid_px, expected_px):
-                sighting = _as_sighting(board, grid_px, placement, _is_bright_first(group, cells))
-                if not sighting.is_inverted and fits_board(placement, len(group)):  # else off by a square
-                    return sighting
+            unmarked = place_near(board, grid_px, expected_px)
+        # What colours contradict is off by a square, or the wrong way up.
+        named = [
+            _as_sighting(board, grid_px, each, is_bright_first) for each in unmarked if fits_board(each, len(group))
+        ]
+        named = [sighting for sighting in named if not sighting.is_inverted]
+        if len(named) == 1:
+            return named[0]
         if len(placements) < 2 and _is_mirrored(image, board, grid_px, len(group)):
             refusal.consider(4, f"a chessboard of {columns}x{rows} corners is seen that is the SPEC's {MIRROR_IMAGE}")
         _explain(refusal, board, placements, (int(columns), int(rows)))

@@ -161,7 +161,7 @@ def _measure(
     rough = points_at(grid, sighting.known_px, board.n_points)
     spacing, height = steps_at(grid, sighting.known_px, sighting.lens, board.n_points)
     places = BoardPlaces(board.object_points_m[:, :2], board.pitch_m)
-    points, covariance, cross = measure_corners(grey, rough, places, REACH * height)
+    points, covariance, cross = measure_corners(grey, rough, places, REACH * height, may_be_cut=True)
     points = points.copy()
     sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
     points[(np.linalg.norm(points - rough, axis=1) > MAX_MOVE * spacing) | (sigma > MOST_SIGMA_PX)] = np.nan

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from binocal.detection.finding.planes import N_FOR_WHOLE_LENS
+from binocal.detection.finding.planes import N_FOR_WHOLE_LENS, determine_plane
 from binocal.kernels.image_lens import LensFitOptions, fit_image_lens
 from binocal.kernels.point_lattices import GrowthLimits, find_nearest, grow_lattice
 from binocal.shapes import Bool, Float, Int
@@ -117,7 +117,7 @@ def complete_by_lens(
     Where a board is so near that steps grow by a third from one to the next, local steps mislead and the lens does not.
     """
     members, cells = lattice.members, lattice.cells
-    while True:
+    while determine_plane(cells.astype(float)):
         is_left = free.copy()
         is_left[members] = False
         index = np.flatnonzero(is_left)
@@ -133,6 +133,7 @@ def complete_by_lens(
             break
         expected, right, below = np.moveaxis(lens.images_px.reshape(-1, 3, 2), 1, 0)
         step = np.minimum(np.hypot(*(right - expected).T), np.hypot(*(below - expected).T))
+        step = np.maximum(step, 1e-9)
         off = np.linalg.norm(points[index] - expected[:, None], axis=2) / step[:, None]
         off = np.where(np.isfinite(off), off, np.inf)
         best = off.argmin(axis=1)

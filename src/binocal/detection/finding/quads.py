@@ -15,7 +15,8 @@ from binocal.shapes import Float, Int, UInt8
 LEAST_SIDE_PX = 4.0  # in pixels of the scale
 MOST_ASPECT = 6.0  # of the longest side over the shortest: a square tilted by 70 degrees has 3
 LEAST_SINE = 0.3  # of the angle at a corner
-SHARE_FILLED = 0.8, 1.15  # of the quadrilateral, by its component with its holes
+SHARE_FILLED = 0.8, 1.4  # of the quadrilateral between the corners found, which blur rounds to 1.25; a disc fills 1.57
+MOST_SIDES = 6  # of an outline whose corners blur has cut off
 _ROUND_PX = 0.04  # of the outline's length, that sides leave the outline by
 
 
@@ -96,9 +97,11 @@ def _corners_of(outline: ndarray) -> Float[ndarray, "4 2"] | None:
     """The four corners of an outline, clockwise; None where it has not four."""
     hull = cv2.convexHull(outline)
     polygon = cv2.approxPolyDP(hull, max(1.0, _ROUND_PX * cv2.arcLength(hull, True)), True)
-    if len(polygon) != 4:
-        return None
     corners = polygon[:, 0].astype(float)
+    if not 4 <= len(corners) <= MOST_SIDES:
+        return None
+    while len(corners) > 4:
+        corners = _without_shortest_side(corners)
     away = np.roll(corners, -1, axis=0) - corners
     sides = np.hypot(*away.T)
     turn = _cross(away, np.roll(away, -1, axis=0)) / np.maximum(sides * np.roll(sides, -1), 1e-9)
@@ -114,6 +117,18 @@ def _corners_of(outline: ndarray) -> Float[ndarray, "4 2"] | None:
     away /= np.hypot(*away.T)[:, None]
     before = np.roll(away, 1, axis=0)
     return corners + 0.5 * (before - away) / np.maximum(_cross(before, away), LEAST_SINE)[:, None]
+
+
+def _without_shortest_side(corners: Float[ndarray, "k 2"]) -> Float[ndarray, "l 2"]:
+    """The polygon whose shortest side is a corner that was cut off: its neighbours run on until they meet."""
+    away = np.roll(corners, -1, axis=0) - corners
+    first = int(np.hypot(*away.T).argmin())
+    corners, away = np.roll(corners, -first, axis=0), np.roll(away, -first, axis=0)
+    sine = _cross(away[-1], away[1])
+    if abs(sine) < LEAST_SINE * np.hypot(*away[-1]) * np.hypot(*away[1]):
+        return corners[1:]
+    met = corners[0] + _cross(corners[1] - corners[0], away[1]) / sine * away[-1]
+    return np.concatenate([met[None], corners[2:]])
 
 
 def _one_per_place(quads: Float[ndarray, "n 4 2"]) -> Float[ndarray, "k 4 2"]:

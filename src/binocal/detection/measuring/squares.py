@@ -6,30 +6,36 @@ of an image's squares together as they are from its corners (``corner_pool.hpp``
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
 
+from binocal.detection.measuring.square_spread import measure_spread, outward_steps
 from binocal.kernels.corner_fits import pool_corners
 from binocal.kernels.image_lens import ImageLens, LensFitOptions, fit_image_lens
 from binocal.kernels.square_fits import fit_squares
 from binocal.shapes import Float
 
 GAP_SHARE = 0.5  # of the gap to the next square: half of it is this one's
-STRAIGHT_PX = 0.002  # a change of an edge's bow that moves no corner
+MOST_SPREAD = 0.7  # blurs: what a tone curve moves edges by, of 2.2 0.35; more is a board of other lengths
 REACH_PX, REACH_PER_SIDE = 4.0, 0.2  # that a corner may go from where it was found
-_ROUNDS = 3
 _ALONG = np.array([0.25, 0.5, 0.75])  # of an edge, where its bow is taken
 _NEXT = [1, 2, 3, 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSquares:
-    """Corners, clockwise as printed from the top left, NaN where a square could not be measured, and their covariances."""
+    """Corners, clockwise as printed from the top left, NaN where a square could not be measured, and their covariances.
+
+    ``spread_px`` is by how much the squares' sides seemed to lie outward of the board's; it is taken out where a tone curve explains
+    it (``MOST_SPREAD``), else they are of other lengths than the board's.
+    """
 
     corners_px: Float[ndarray, "n 4 2"]
     covariance_px2: Float[ndarray, "n 4 2 2"]
+    spread_px: float = 0.0
+    has_other_lengths: bool = False
 
 
 def measure_squares(
@@ -46,25 +52,29 @@ def measure_squares(
     ``corners_xy`` are the same corners on the board, clockwise as printed, and ``gap_xy`` the gap between squares in the same unit.
     The image's own lens, fitted with ``options`` to all corners together, says how its edges are bent.
     """
-    nothing = np.full(corners_px.shape, np.nan)
-    points, bows = corners_px, np.zeros((len(corners_px), 4, 3))
-    covariance = np.full((*corners_px.shape, 2), np.nan)
-    for _ in range(_ROUNDS):
-        lens = _fit_lens(points, corners_xy, gap_xy, (grey.shape[1], grey.shape[0]), options)
+    size_wh = grey.shape[1], grey.shape[0]
+    points, covariance, blur_px = corners_px, np.full((*corners_px.shape, 2), np.nan), 1.0
+    for is_rough in (True, False):
+        lens = _fit_lens(points, corners_xy, gap_xy, size_wh, options)
         if lens is None:
-            break
-        bent, outward = _edges(lens, corners_xy)
-        if points is not corners_px and np.nanmax(np.abs(bent - bows)) < 4 * STRAIGHT_PX:
-            break
-        bows = bent
+            return MeasuredSquares(np.full(corners_px.shape, np.nan), covariance)
+        bows, outward = _edges(lens, corners_xy)
         side = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=-1).min(axis=1)
-        fits = fit_squares(grey, points, bows, GAP_SHARE * outward, np.maximum(REACH_PX, REACH_PER_SIDE * side))
+        reach = np.maximum(REACH_PX, REACH_PER_SIDE * side)
+        fits = fit_squares(grey, points, bows, GAP_SHARE * outward, reach, blur_px=blur_px, is_rough=is_rough)
         pooled = pool_corners(fits.corners, are_corners=False)
         is_sound = np.isfinite(pooled.points_px[:, 0]) & ((fits.corners.contrast_dn < 0) == is_dark)
-        points = np.where(is_sound[:, None], pooled.points_px, np.nan).reshape(-1, 4, 2)
-        points[np.isnan(points).any(axis=(1, 2))] = np.nan
-        covariance = np.where(np.isfinite(points)[..., None], pooled.covariance_px2.reshape(-1, 4, 2, 2), np.nan)
-    return MeasuredSquares(nothing if points is corners_px else points, covariance)
+        is_sound = is_sound.reshape(-1, 4).all(axis=1)
+        if not is_sound.any():
+            return MeasuredSquares(np.full(corners_px.shape, np.nan), covariance)
+        points = np.where(is_sound[:, None, None], pooled.points_px.reshape(-1, 4, 2), np.nan)
+        blur_px = float(np.nanmedian(fits.corners.blur_px))
+    covariance = np.where(np.isfinite(points)[..., None], pooled.covariance_px2.reshape(-1, 4, 2, 2), np.nan)
+    spread_px = measure_spread(points, corners_xy, size_wh, replace(options, is_robust=False))
+    has_other_lengths = abs(spread_px) >= MOST_SPREAD * blur_px
+    if np.isfinite(spread_px) and not has_other_lengths:
+        points = points - spread_px * outward_steps(points)
+    return MeasuredSquares(points, covariance, spread_px, has_other_lengths)
 
 
 def _fit_lens(

@@ -26,17 +26,20 @@ constexpr double kMostSquareRho = 0.94;    // edges that meet at less than 20 de
 constexpr int kMaxSquareEvaluations = 20;
 constexpr double kMostCornerStep_px = 3.0;  // in one step
 constexpr double kSquareSlack = 0.4;        // px: pixels are gathered again when a corner has moved farther
-constexpr double kLastSquareStep_px = 0.002, kLastSquareStepOfSigma = 0.1;
+// A last step is not evaluated: its residuals are those that the Jacobian predicts. Of all parameters together, in standard deviations.
+constexpr double kLastSquareStep_px = 0.004, kLastSquareStepOfSigma = 0.3, kLastRoughStep_px = 0.1;
+constexpr double kBowOfBand_px = 0.5;  // the band of pixels need not follow an edge that leaves its chord by less
 
-// Corners to start from, clockwise as seen, the edges' bows, how far from each edge, px, nothing else is printed on the outside, and the
-// longest way, px, that a corner may go.
+// Corners to start from, clockwise as seen, the edges' bows, how far from each edge, px, nothing else is printed on the outside, the
+// longest way, px, that a corner may go, and the blur to start with.
 struct SquareInput {
     double corners[8];
     double bows[12];
     double outward[4];
     double reach;
+    double blur;
 };
-constexpr int kSquareInputSize = 25;
+constexpr int kSquareInputSize = 26;
 static_assert(sizeof(SquareInput) == kSquareInputSize * sizeof(double));
 
 // All NaN where the fit failed. The corners' records share everything but the point and its covariance.
@@ -55,6 +58,17 @@ struct SquareEdge {
         along = (tx * u + ty * v) / length;
         const double t = std::min(std::max(along, -0.5), 1.5);
         return tx * v - ty * u - t * (1 - t) * (bow[0] + t * (bow[1] + t * bow[2]));
+    }
+    // Leaves of the pixel columns from..to of a row those whose distance from the straight edge is at least so much.
+    void cut(double row, double least, double& from, double& to) const {
+        const double at_zero = tx * (row - y) + ty * x - least;  // of the distance less `least` at column 0; it changes by -ty a column
+        if (std::fabs(ty) < 1e-9) {
+            if (at_zero < 0) to = from - 1;
+        } else if (ty > 0) {
+            to = std::min(to, at_zero / ty);
+        } else {
+            from = std::max(from, at_zero / ty);
+        }
     }
     // With the edge that begins where this one ends: the correlation of the two distances, and what it changes by when either edge turns.
     void meet(const SquareEdge& next, double& rho, double& to_this, double& to_next) const {
@@ -102,6 +116,7 @@ class SquareWorkspace {
         capacity_ = (n + kLanes - 1) / kLanes * kLanes;
         memory_.assign(static_cast<std::size_t>(capacity_) * (kSquareColumns + 3), 0.0f);
     }
+    int capacity() const { return capacity_; }
     float* column(int k) { return memory_.data() + static_cast<std::size_t>(capacity_) * k; }
     float* u() { return column(kSquareColumns); }
     float* v() { return column(kSquareColumns + 1); }
@@ -143,7 +158,8 @@ inline void evaluate(SquareWorkspace& work, const double* p, const SquareEdges& 
 template <typename Pixel>
 class SquareFitter {
   public:
-    SquareFitter(const ImageView<Pixel>& image, const SquareInput& input, SquareWorkspace& work) : image_(image), input_(input), work_(work) {}
+    SquareFitter(const ImageView<Pixel>& image, const SquareInput& input, bool is_rough, SquareWorkspace& work)
+        : image_(image), input_(input), work_(work), is_rough_(is_rough) {}
 
     SquareResult fit() {
         SquareResult result;
@@ -157,38 +173,35 @@ class SquareFitter {
     static double band(double blur) { return std::max(kLeastBand, kBandPerBlur * blur + kBandBeyondBlur); }
     SquareEdges edges(const double* p) const { return {p, input_.bows}; }
 
-    // Gathers the pixels of the band for which keeps(column, row, value) holds.
+    // Gathers the pixels of the band for which keeps(column, row, value) holds, every other one of a rough fit.
     template <typename Keeps>
     bool gather(double wide, const Keeps& keeps) {
         SquarePatch& patch = work_.patch;
         const SquareEdges lines = edges(p_);
-        double low[2] = {p_[0], p_[1]}, high[2] = {p_[0], p_[1]};
+        const double bow = farthest_bow(), slack = bow > kBowOfBand_px ? bow : 0;
+        double low[2] = {p_[0], p_[1]}, high[2] = {p_[0], p_[1]}, outward[4];
         for (int i = 1; i < 4; ++i)
             for (int k : {0, 1}) low[k] = std::min(low[k], p_[2 * i + k]), high[k] = std::max(high[k], p_[2 * i + k]);
-        const double bow = farthest_bow();
-        const auto first_column = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::floor(low[0] - wide - bow)));
-        const auto first_row = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::floor(low[1] - wide - bow)));
-        const auto last_column = std::min<std::ptrdiff_t>(image_.width - 1, static_cast<std::ptrdiff_t>(std::ceil(high[0] + wide + bow)));
-        const auto last_row = std::min<std::ptrdiff_t>(image_.height - 1, static_cast<std::ptrdiff_t>(std::ceil(high[1] + wide + bow)));
-        const double size = static_cast<double>(last_column - first_column + 1) * static_cast<double>(last_row - first_row + 1);
-        if (!(size > 0 && size < kMostSquarePixels)) return false;
-        work_.reserve(static_cast<int>(size) + kLanes);
+        for (int i = 0; i < 4; ++i) outward[i] = std::max(1.0, std::min(wide, input_.outward[i]));
+        // Corners of the band lie farther off than its width, by the sine of half their angle.
+        const double beyond = wide / 0.17 + slack;
+        const auto first_row = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::floor(low[1] - beyond)));
+        const auto last_row = std::min<std::ptrdiff_t>(image_.height - 1, static_cast<std::ptrdiff_t>(std::ceil(high[1] + beyond)));
+        if (!((high[0] - low[0] + 2 * beyond) * (high[1] - low[1] + 2 * beyond) < kMostSquarePixels)) return false;
+        double length = 0;
+        for (const SquareEdge& edge : lines.edge) length += edge.length + 8 * (wide + slack);
+        work_.reserve(static_cast<int>(std::min((2 * wide + 2 * slack + 2) * length, (high[0] - low[0] + 2 * beyond) * (high[1] - low[1] + 2 * beyond))) + kLanes);
         std::copy(p_, p_ + 8, patch.corners);
         patch.wide = wide, patch.n_clipped = 0;
         float *u = work_.u(), *v = work_.v(), *value = work_.value();
-        double outward[4];
-        for (int i = 0; i < 4; ++i) outward[i] = -std::max(1.0, std::min(wide, input_.outward[i]));
+        const int most = work_.capacity() - kLanes;
         int n = 0;
-        for (auto row = first_row; row <= last_row; ++row) {
-            const Pixel* line = image_.pixels + row * image_.width;
-            for (auto column = first_column; column <= last_column; ++column) {
-                double nearest = std::numeric_limits<double>::infinity(), along;
-                bool is_near = true;
-                for (int i = 0; i < 4; ++i) {
-                    const double d = lines.edge[i].distance(static_cast<double>(column), static_cast<double>(row), along);
-                    is_near &= d >= outward[i], nearest = std::min(nearest, d);
-                }
-                if (!is_near || nearest > wide) continue;
+        auto take = [&](const Pixel* line, std::ptrdiff_t row, double from, double to) {
+            auto first = std::max<std::ptrdiff_t>(0, static_cast<std::ptrdiff_t>(std::ceil(from)));
+            if (is_rough_ && (first + row) % 2) ++first;
+            const auto last = std::min<std::ptrdiff_t>(image_.width - 1, static_cast<std::ptrdiff_t>(std::floor(to)));
+            for (std::ptrdiff_t column = first; column <= last && n < most; column += is_rough_ ? 2 : 1) {
+                if (slack > 0 && !is_in_band(lines, column, row, outward, wide)) continue;
                 if (!keeps(static_cast<double>(column), static_cast<double>(row), line[column])) {
                     ++patch.n_clipped;
                     continue;
@@ -196,11 +209,35 @@ class SquareFitter {
                 u[n] = static_cast<float>(column - patch.column), v[n] = static_cast<float>(row - patch.row);
                 value[n++] = static_cast<float>(line[column] * scale_);
             }
+        };
+        for (auto row = first_row; row <= last_row; ++row) {
+            const Pixel* line = image_.pixels + row * image_.width;
+            double from = -1e9, to = 1e9, hole_from = -1e9, hole_to = 1e9;
+            for (int i = 0; i < 4; ++i) {
+                lines.edge[i].cut(static_cast<double>(row), -outward[i] - slack, from, to);
+                lines.edge[i].cut(static_cast<double>(row), wide + slack, hole_from, hole_to);
+            }
+            if (std::ceil(hole_from) <= std::floor(hole_to)) {
+                take(line, row, from, std::ceil(hole_from) - 0.5);
+                take(line, row, std::floor(hole_to) + 0.5, to);
+            } else {
+                take(line, row, from, to);
+            }
         }
         patch.n_pixels = n;
         for (; n % kLanes; ++n) u[n] = v[n] = 1000.0f, value[n] = 0;
         patch.n_vectors = n / kLanes;
         return patch.n_pixels >= 4 * kSquareParameters;
+    }
+
+    static bool is_in_band(const SquareEdges& lines, std::ptrdiff_t column, std::ptrdiff_t row, const double* outward, double wide) {
+        double nearest = std::numeric_limits<double>::infinity(), along;
+        for (int i = 0; i < 4; ++i) {
+            const double d = lines.edge[i].distance(static_cast<double>(column), static_cast<double>(row), along);
+            if (d < -outward[i]) return false;
+            nearest = std::min(nearest, d);
+        }
+        return nearest <= wide;
     }
 
     double farthest_bow() const {
@@ -245,7 +282,7 @@ class SquareFitter {
             if (!(p_[2 * i] >= 1 && p_[2 * i + 1] >= 1 && p_[2 * i] <= image_.width - 2 && p_[2 * i + 1] <= image_.height - 2)) return false;
         }
         work_.patch.column = static_cast<int>(std::lround(x)), work_.patch.row = static_cast<int>(std::lround(y));
-        p_[kSquareBlur1] = p_[kSquareBlur2] = std::log(std::min(1.0, 0.2 * shortest));
+        p_[kSquareBlur1] = p_[kSquareBlur2] = std::log(std::min(std::max(input_.blur, 0.3), 0.2 * shortest));
         if (!take() || !levels(lines)) return false;
         return is_finite(evaluate_at(p_, current_));
     }
@@ -324,16 +361,20 @@ class SquareFitter {
             for (int i = 0; i < 8; ++i)
                 if (std::fabs(step.next[i] - input_.corners[i]) > input_.reach) return false;
             const double noise2 = current_.gram[kSquareParameters][kSquareParameters] / std::max(1, work_.patch.n_pixels - kSquareParameters);
-            const bool is_last = step.is_whole && (step.moved < kLastSquareStep_px || step.decrement < kLastSquareStepOfSigma * kLastSquareStepOfSigma * noise2);
+            if (step.is_whole && (step.moved < (is_rough_ ? kLastRoughStep_px : kLastSquareStep_px) ||
+                                  step.decrement < kLastSquareStepOfSigma * kLastSquareStepOfSigma * noise2)) {
+                std::copy(step.next, step.next + kSquareParameters, p_);
+                cost_ = std::max(cost_ - step.decrement / work_.patch.n_pixels, 0.0);
+                return true;
+            }
             const double cost = evaluate_at(step.next, trial_);
-            if (!(cost < cost_) && !is_last) {
+            if (!(cost < cost_)) {
                 if (!damp()) return false;
                 continue;
             }
             std::copy(step.next, step.next + kSquareParameters, p_);
             current_ = trial_, cost_ = cost;
             damping_ = std::max(0.1 * damping_, 1e-7);
-            if (is_last) return true;
             if (!follow()) return false;
         }
         return false;
@@ -352,7 +393,7 @@ class SquareFitter {
 
     // Once more where values are clipped: left out by what they are, those that noise kept from the top pull the level and the slope down.
     bool leave_clipped_out() {
-        if (!work_.patch.n_clipped) return true;
+        if (!work_.patch.n_clipped || is_rough_) return true;
         knows_noise_ = true, most_evaluations_ = n_evaluations_ + 12;
         if (!take()) return false;
         damping_ = 0;
@@ -416,14 +457,14 @@ class SquareFitter {
     double p_[kSquareParameters]{};
     SquareEquations current_{}, trial_{};
     double cost_ = 0, damping_ = 0;
-    bool knows_noise_ = false;
+    bool is_rough_, knows_noise_ = false;
     int n_evaluations_ = 0, most_evaluations_ = kMaxSquareEvaluations;
 };
 
 template <typename Pixel>
-void fit_squares(const ImageView<Pixel>& image, const SquareInput* inputs, std::ptrdiff_t n, SquareResult* results) {
+void fit_squares(const ImageView<Pixel>& image, const SquareInput* inputs, std::ptrdiff_t n, bool is_rough, SquareResult* results) {
     static thread_local SquareWorkspace work;
-    for (std::ptrdiff_t i = 0; i < n; ++i) results[i] = SquareFitter<Pixel>(image, inputs[i], work).fit();
+    for (std::ptrdiff_t i = 0; i < n; ++i) results[i] = SquareFitter<Pixel>(image, inputs[i], is_rough, work).fit();
 }
 
 }  // namespace binocal
