@@ -120,3 +120,11 @@ def test_cross_covariances_go_with_their_corners():
     assert np.array_equal(turned.left_cross_covariance_px2[1], 2 * good[1, ::-1])
     with pytest.raises(ValueError, match="left view 0, corner 0: not a covariance"):
         detections_with(good, None, left_cross_covariance_px2=-good)
+
+
+def test_covariances_of_zero_leave_all_to_the_misfit():
+    zero = np.zeros((3, 30, 2, 2))
+    stated = detections_with(zero, zero)
+    rng = np.random.default_rng(0)
+    r2 = tuple(np.square(0.2 * rng.standard_normal((*zero.shape[:2], 2))).sum(axis=-1) for _ in range(2))
+    assert estimate_misfit_px(stated, r2) == pytest.approx(0.2, rel=0.1)

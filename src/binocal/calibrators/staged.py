@@ -190,7 +190,7 @@ def summarize_stages(
         noise_px=_pooled_noise_px(solve.cameras),
         views=tuple(rows),
         rejected=diagnosed.rejected,
-        findings=(*apart, *diagnosed.findings),
+        findings=(*apart, *diagnosed.findings, *acceptance.scale_findings(views)),
         n_iterations=solve.n_iterations,
         exposure=exposure,
         provenance={

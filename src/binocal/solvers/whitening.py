@@ -134,7 +134,7 @@ def estimate_misfit_px(detections: Detections, r2_px2: tuple[Float[ndarray, "vie
     length2, variance = length2[::step], variance[::step]
     expected = robust.MEDIAN_OF_RAYLEIGH**2
     low, high = 0.0, float(np.median(length2)) / expected
-    if np.median(length2 / variance) <= expected:
+    if np.median(length2 - expected * variance) <= 0:  # the same as of their ratio, and covariances may be 0
         return 0.0
     for _ in range(MISFIT_STEPS):
         middle = 0.5 * (low + high)
