@@ -44,7 +44,7 @@ def test_pages_are_files_where_a_format_has_one_page(here, capsys):
         (["nonsense", "b.pdf"], "is not understood"),
         (["b.pdf"], "missing SPEC or FILE"),
         (["chessboard:9x6:20mm", "b.pdf", "--tag-border", "1"], "is of AprilGrids and ChArUco boards"),
-        (["aprilgrid:3x2:40mm", "b.pdf", "--tag-border", "1", "--kalibr", "t.yaml"], "not as Kalibr looks for them"),
+        (["aprilgrid:3x2:40mm", "b.pdf", "--tag-border", "1", "--kalibr", "t.yaml"], "not as Kalibr looks for tags"),
         (["chessboard:9x6", "--screen", "--resolution", "big"], "--resolution is 'big'"),
         (["chessboard:9x6", "--screen", "--diagonal", "27"], "needs a unit: mm, cm, m or in, such as 27in"),
         (["chessboard:9x6", "--screen", "--page", "A4"], "belong to paper"),
