@@ -75,6 +75,21 @@ def test_a_range_that_no_board_serves_says_how_long_one_may_be():
     assert recommend_board(camera_of_field(60, (1280, 960)), 1, 8.5).board.kind == "charuco"
 
 
+def test_images_and_ranges_that_are_too_small_for_any_board_are_named():
+    with pytest.raises(
+        ValueError, match=r"too small for a board at any distance: .* needs 120 x 100 pixels, 58 x 43 are"
+    ):
+        recommend_board(camera_of_field(60, (64, 48)), 0.5, 1)
+    with pytest.raises(ValueError, match=r"at 0.005 m .* no board that small to print; begin the range farther away"):
+        recommend_board(camera_of_field(10, (1280, 960)), 0.005, 0.006)
+
+
+def test_a_board_that_no_paper_holds_says_so():
+    reasons = recommend_board(camera_of_field(60, (1280, 960)), 10, 12).reasons
+    assert reasons[-1].startswith("larger than any paper: split it over pages (--tiles)")
+    assert "larger" not in recommend_board(camera_of_field(60, (1280, 960)), 0.5, 3).reasons[-1]
+
+
 def test_viewers(tmp_path):
     assert load_viewer("60deg@1280x960").size_wh == (1280, 960) and load_viewer("60@64x48").size_wh == (64, 48)
     for text, why in (

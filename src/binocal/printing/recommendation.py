@@ -102,6 +102,19 @@ def recommend_board(seen_by: StereoRig | Camera, near_m: float, far_m: float) ->
         return Recommendation(board, name, reasons, square_px, share)
     square_mm, rooms_mm = _bounds("charuco", scene)
     ratio = far_m / near_m * min(room / least / square_mm for room, least in zip(rooms_mm, LEAST_SQUARES, strict=True))
+    columns, rows = LEAST_SQUARES
+    if ratio < 1:
+        room_px = [room / square_mm * LEAST_SQUARE_PX["charuco"] * far_m / near_m for room in rooms_mm]
+        raise ValueError(
+            f"the images are too small for a board at any distance: one of {columns}x{rows} squares needs "
+            f"{columns * LEAST_SQUARE_PX['charuco']:g} x {rows * LEAST_SQUARE_PX['charuco']:g} pixels, {room_px[0]:.0f} x {room_px[1]:.0f} "
+            "are there for it"
+        )
+    if far_m <= ratio * near_m:
+        raise ValueError(
+            f"at {near_m:g} m {rooms_mm[0]:.3g} x {rooms_mm[1]:.3g} mm of board are in view: there is no board that small to print; "
+            "begin the range farther away"
+        )
     raise ValueError(
         f"no board serves {near_m:g} to {far_m:g} m: a square must have {square_mm:.3g} mm to be seen at the far end, and "
         f"{rooms_mm[0]:.3g} x {rooms_mm[1]:.3g} mm of board are in view at the near end; take several boards, each for a range "
@@ -248,4 +261,14 @@ def _reasons(
         f"{page}: the smallest page on which it fills {100 * GOOD_SHARE:.0f} %"
         if share >= GOOD_SHARE
         else f"{page}: the largest that is in view at the near end",
+        *_how_to_print(page),
+    )
+
+
+def _how_to_print(page: str) -> tuple[str, ...]:
+    """What to do where no printer has the page."""
+    if page in PAPERS:
+        return ()
+    return (
+        "larger than any paper: split it over pages (--tiles) on a flat plate, have it painted, or calibrate nearer",
     )
