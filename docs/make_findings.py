@@ -97,6 +97,11 @@ EXPLANATIONS = {
         The principal point is where the optical axis meets the image; lenses are mounted within a few percent of the middle.
         A solve that puts it far away, and is sure of it, has explained something else by it: boards that stayed in one part
         of the image, or images that were cropped after they were taken. Crop-free images or more varied views help.""",
+    "zoom-off-curve": """
+        Every setting but the outer two is left out in turn, and its own calibration compared with the curves through the others
+        (standard deviations of both, RMS over the rig's quantities); and a zoom's focal length grows, or falls, from setting to
+        setting. A setting with another one's number or images does neither. Curves that bend more than the settings show do
+        the same: more settings there help. The stated standard deviations are widened by what was seen.""",
     "lens-of-another-kind": """
         `wide-field` solves for lenses of 110 to 220 degrees. Where every corner lies within 60 degrees of the axes, the corners
         are fitted with an ordinary model as well. Where that is not decisively worse (Bayesian information criterion), what

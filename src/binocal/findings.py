@@ -722,6 +722,11 @@ _KINDS = (
         "take the board at rest, all over the images, and check the focus and the mounts",
     ),
     FindingKind(
+        "zoom-off-curve", _W, "A zoom setting's calibration is not where the others' curves lead",
+        "{at} ({sigmas:.1f} standard deviations); {remedy}.",
+        "check its number, its unit and which images belong to it, or calibrate at more settings about it",
+    ),
+    FindingKind(
         "lens-of-another-kind", _W, "The lenses may be of another kind than the method's model",
         "the lenses may be of another kind than {model}: all corners lie where {other} fits as well or better ({other_px:.3g} px, {model} "
         "{own_px:.3g} px), and its rig is {sigmas:.1f} standard deviations away, which those stated hold now; {remedy}.",

@@ -144,6 +144,24 @@ def test_what_it_states(solved):
     assert [view.name for view in made.views[:2]] == ["0/0", "0/1"] and len(made.views) == given.n_views
 
 
+def test_settings_with_anothers_number_are_named(solved):
+    _, made = solved
+    assert not any(found.code == "zoom-off-curve" for found in made.findings)
+    few = evidence(7, 4, seed=1)
+    exchanged = [few.detections[i] for i in (0, 1, 4, 3, 2, 5, 6)]
+    wrong = few.settings.copy()
+    wrong[3] += 0.05
+    for settings, detections, said in (
+        (few.settings, exchanged, r"between the zoom settings 0\.\d+ and 0\.\d+ the focal length goes back"),
+        (wrong, few.detections, r"at zoom setting 0\.55 lies off the curves"),
+    ):
+        calibration = binocal.calibrate(
+            ZoomSettings(settings, tuple(detections)), calibrator="zoom", model="brown4", options={"setting": 0.35}
+        )
+        (found,) = [found for found in calibration.findings if found.code == "zoom-off-curve"]
+        assert re.search(said, found.text)
+
+
 def test_the_curves_come_back_from_the_file(solved, tmp_path):
     _, made = solved
     binocal.write_calibration(tmp_path / "rig.json", made)

@@ -29,6 +29,7 @@ from binocal.cameras import StereoRig
 from binocal.cameras.zoom_rig import ZoomRig, by_parameters, curve_names, curve_quantities
 from binocal.errors import CalibrationError, DataError
 from binocal.evidence.zoom_settings import ZoomSettings
+from binocal.findings import Finding, finding
 from binocal.result import Covariance, RejectedView, ResidualSummary, StereoCalibration
 from binocal.shapes import Float
 from binocal.solvers.zoom_network import N_HIDDEN, Fitted, fit_network
@@ -37,6 +38,12 @@ NAME = "zoom"
 MIN_SETTINGS = 5  # a curve of three terms, and two settings to leave out
 N_NETWORKS = 5
 MAX_DEGREE = 4  # of 9 settings' curves: with 2 the rows between them err 2.3 times as much as at them, with 3 and 4 1.0 and 1.3 times
+OFF_SIGMAS = (
+    2.0  # of a setting from the curves through the others, RMS over its quantities: 1.4 measured at most of sound sets
+)
+TURNED_SIGMAS = (
+    5.0  # of a focal length that falls between two settings where it grows on the whole, or grows where it falls
+)
 SIGMA_SHARE = 1.0  # of a quantity's typical standard deviation: the least unit for it
 
 
@@ -82,7 +89,25 @@ def calibrate_zoom(evidence: ZoomSettings, request: CalibrationRequest) -> Stere
         },
         "sigma_factor": widening,
     }
-    return _summarized(settings, made, zoom, wanted, covariance, said)
+    calibration = _summarized(settings, made, zoom, wanted, covariance, said)
+    return replace(calibration, findings=(*_off_curve(settings, made, errors[n_hidden]), *calibration.findings))
+
+
+def _off_curve(
+    settings: Float[ndarray, "k"], made: Sequence[StereoCalibration], left_out: _LeftOut
+) -> tuple[Finding, ...]:
+    """A setting whose number or whose views are not what they are given as, if there is one."""
+    focal = np.array([c.rig.left.parameters[0] for c in made])
+    sigma = np.array([c.covariance.sigma["left.fx"] for c in made])
+    step = np.diff(focal) * np.sign(focal[-1] - focal[0]) / np.hypot(sigma[1:], sigma[:-1])
+    turned = int(np.argmin(step))
+    if step[turned] < -TURNED_SIGMAS:
+        at = f"between the zoom settings {settings[turned]:g} and {settings[turned + 1]:g} the focal length goes back"
+        return (finding("zoom-off-curve", at=at, sigmas=-float(step[turned])),)
+    if left_out.farthest_sigmas > OFF_SIGMAS:
+        at = f"the calibration at zoom setting {settings[left_out.farthest]:g} lies off the curves through the others"
+        return (finding("zoom-off-curve", at=at, sigmas=left_out.farthest_sigmas),)
+    return ()
 
 
 def _each_setting(evidence: ZoomSettings, request: CalibrationRequest) -> list[StereoCalibration]:
@@ -112,10 +137,15 @@ def _at_setting(error: CalibrationError | DataError, setting: float) -> Calibrat
 
 @dataclass(frozen=True, slots=True)
 class _LeftOut:
-    """How far calibrations that were left out lie from the curves: in their own standard deviations, and in those of both."""
+    """How far calibrations that were left out lie from the curves: in their own standard deviations, and in those of both.
+
+    The farthest setting's number, and its distance in standard deviations of both, stand beside.
+    """
 
     rms: float
     in_sigmas: float
+    farthest: int
+    farthest_sigmas: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +206,9 @@ class _CurvePoints:
             own.append(np.mean((self.roots[i].T @ away) ** 2))
             total = self.covariances[i] + _output_covariance(fits, x)
             both.append(away @ np.linalg.solve(total, away) / len(away))
-        return _LeftOut(float(np.sqrt(np.mean(own))), float(np.sqrt(np.mean(both))))
+        farthest = int(np.argmax(both))
+        rms = float(np.sqrt(np.mean(own))), float(np.sqrt(np.mean(both)))
+        return _LeftOut(*rms, farthest + 1, float(np.sqrt(both[farthest])))
 
     def left_out_linear(self) -> float:
         """The same of straight lines between neighbouring settings, parameter by parameter."""
