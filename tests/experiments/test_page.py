@@ -50,7 +50,10 @@ def test_a_table_has_methods_down_and_cases_across_and_counts_failures():
 def test_the_page_is_whole_and_the_same_for_the_same_rows():
     drawn = Figure("length", "length (mm)", "Lengths", "lengths.svg", is_log=True)
     page = Page(
-        "Title", ("Text & more.",), (Part("3", "Table 3", "What it is.", (drawn,)), Part("9", "Nothing", "")), ROWS
+        "Title",
+        ("Text & `code` more.",),
+        (Part("3", "Table 3", "What it is.", (drawn,)), Part("9", "Nothing", "")),
+        ROWS,
     )
     files = page_files(page)
     assert files == page_files(page) and set(files) == {"page.md", "page.html", "rows.csv", "lengths.svg"}
@@ -58,6 +61,7 @@ def test_the_page_is_whole_and_the_same_for_the_same_rows():
     assert (
         "<svg" in files["page.html"]
         and "a &lt;b&gt;" in files["page.html"]
+        and "<p>Text &amp; <code>code</code> more.</p>" in files["page.html"]
         and "http" not in files["page.html"].split("</style>")[0]
     )
     texts = "".join(ElementTree.fromstring(files["lengths.svg"].encode()).itertext())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
@@ -119,16 +120,22 @@ def _markdown(page: Page, drawings: Mapping[str, str]) -> str:
 
 
 def _html(page: Page, drawings: Mapping[str, str]) -> str:
-    body = [f"<h1>{html.escape(page.title)}</h1>", *(f"<p>{html.escape(text)}</p>" for text in page.text)]
+    body = [f"<h1>{html.escape(page.title)}</h1>", *(_paragraph(text) for text in page.text)]
     for part in page.parts:
         tables = tables_of(page.rows, part.table)
         if not tables:
             continue
-        body += [f"<h2>{html.escape(part.heading)}</h2>", f"<p>{html.escape(part.text)}</p>"]
+        body += [f"<h2>{html.escape(part.heading)}</h2>", _paragraph(part.text)]
         body += [_inline(drawings[file], title) for file, title in part.drawn(drawings)]
         body += [_html_table(table) for table in tables]
     head = f'<meta charset="utf-8"><title>{html.escape(page.title)}</title><style>{STYLE}</style>'
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"
+
+
+def _paragraph(text: str) -> str:
+    """A paragraph of Markdown's plain text, with its `code`."""
+    marked = re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text))
+    return f"<p>{marked}</p>"
 
 
 def _inline(svg: str, title: str) -> str:
